@@ -21,9 +21,13 @@ def actor_layers(
 ) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
     """Return the layers of the deterministic actor in a state dict of Stable-Baselines3."""
     if "action_net.weight" in state:
-        kind, hidden, last = "ppo", "mlp_extractor.policy_net.", "action_net"
+        kind = "ppo"
+        hidden = "mlp_extractor.policy_net."
+        last = "action_net"
     elif "actor.mu.weight" in state:
-        kind, hidden, last = "sac", "actor.latent_pi.", "actor.mu"
+        kind = "sac"
+        hidden = "actor.latent_pi."
+        last = "actor.mu"
     elif "actor.mu.0.weight" in state:
         kind, hidden, last = "td3", "actor.mu.", ""
     else:

@@ -360,7 +360,8 @@ def _features(
                 f"{where} was trained with {name} {shown(asked[name])}; archives are driven with "
                 f"{' or '.join(known)}"
             )
-    wanted, currents = _width(asked["observation"], car, step), len(car.driven)
+    wanted = _width(asked["observation"], car, step)
+    currents = len(car.driven)
     frames = _frames(shape, wanted) if acts.get("_shape") == [currents] else 1
     if shape != [frames * wanted]:
         others = [
@@ -460,7 +461,8 @@ def convert(
     Raises:
         InputError: The file is no such archive, or was trained for other spaces.
     """
-    path, where = Path(archive), shown(str(archive), 200)
+    path = Path(archive)
+    where = shown(str(archive), 200)
     file = _unzip(read_bytes(path, ARCHIVE_LIMIT), where)
     if "data" not in file.namelist():
         raise InputError(

@@ -79,9 +79,13 @@ class Filter:
 
     def __post_init__(self) -> None:
         try:
-            n, nf, ny, m = len(self.B), len(self.K), len(self.D), len(self.law)
+            n = len(self.B)
+            nf = len(self.K)
+            ny = len(self.D)
+            m = len(self.law)
             ahead = len(self.law_ahead[0]) if self.law_ahead else 0
-            known, roads = len(self.road), len(self.road[0]) if self.road else 0
+            known = len(self.road)
+            roads = len(self.road[0]) if self.road else 0
         except TypeError:
             raise InputError(
                 "memory: filter's B, K, D, law, road and law_ahead must be lists of numbers"
@@ -482,15 +486,24 @@ class _Filter:
     """The arithmetic of `Filter` on rows of its features."""
 
     def __init__(self, given: Filter, count: int) -> None:
-        n, nf, ny, m = len(given.B), len(given.K), len(given.D), given.currents
+        n = len(given.B)
+        nf = len(given.K)
+        ny = len(given.D)
+        m = given.currents
         #: what the law commands [A] (count, currents)
         self.wanted = np.zeros((count, m), np.float32)
 
         def array(name: str, *shape: int) -> np.ndarray:
             return np.array(getattr(given, name), float).reshape(shape)
 
-        L, C, S = array("L", n, ny), array("C", ny, n), array("S", nf, n)
-        self.width, self.n, self.nf, self.ny, self.m = given.width, n, nf, ny, m
+        L = array("L", n, ny)
+        C = array("C", ny, n)
+        S = array("S", nf, n)
+        self.width = given.width
+        self.n = n
+        self.nf = nf
+        self.ny = ny
+        self.m = m
         self.given = given
         # rows: estimate and currents; then friction; then signals
         predict = np.vstack([array("A", n, n).T, array("B", n, m).T])
@@ -559,7 +572,9 @@ class _Filter:
         rise: np.float32 | float = 1.0,
     ) -> None:
         """Tell what the law commands at the estimate; `ahead` (count, points): rises of the road over `rise` [m]."""
-        m, given, end = self.m, self.given, self.n + self.nf
+        m = self.m
+        given = self.given
+        end = self.n + self.nf
         rows = features[:, : self.n] @ self.rows
         if ahead is not None and len(self.ahead):
             rows += ahead[:, : len(self.ahead)] @ self.ahead * np.float32(rise)

@@ -230,15 +230,19 @@ class Policy:
             )
         if not weights:
             raise InputError("the policy has no layers")
-        self.memory, self.head = memory or Memory(), head or Head()
+        self.memory = memory or Memory()
+        self.head = head or Head()
         if self.head.mode == "residual" and self.memory.filter is None:
             raise InputError("a residual action needs a memory with a filter")
         if not (isinstance(clip, int | float) and clip > 0):
             raise InputError(f"clip must be > 0, not {shown(clip)}")
         if not (isinstance(bound, int | float) and bound > 0):
             raise InputError(f"bound must be > 0, not {shown(bound)}")
-        self.activation, self.output, self.name = activation, output, name
-        self.clip, self.bound = float(clip), float(bound)
+        self.activation = activation
+        self.output = output
+        self.name = name
+        self.clip = float(clip)
+        self.bound = float(bound)
         #: network of the training
         self.model = network
         self.info = dict(info or {})
@@ -250,7 +254,8 @@ class Policy:
             raise InputError(
                 f"the policy has {_counted(self.currents, 'output')}, network '{network.name}' has {_counted(motors, 'current')}"
             )
-        inputs, frames = self.weights[0][0].shape[1], self.memory.frames
+        inputs = self.weights[0][0].shape[1]
+        frames = self.memory.frames
         self.mean, self.scale = _normalisation(mean, scale, inputs)
         features = inputs // frames
         self.signals = (features - self.memory.extra) // (1 + self.memory.order)
@@ -495,7 +500,8 @@ class Policy:
                     f"{WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}"
                 )
             tensors = read_safetensors(blob, WEIGHTS_NAME)
-            actor, network = head["actor"], head.get("network")
+            actor = head["actor"]
+            network = head.get("network")
             if not (network is None or isinstance(network, dict)):
                 raise InputError(f"network must be an object, not {shown(network)}")
             training = head.get("training", {})

@@ -112,12 +112,11 @@ class Previewing(Decentralised):
         self.preview = corners[0].preview
         self._points = steps_ahead(self.preview, control_step)
         wheels = self.car.wheels
-        delays, driven = (
-            wheels.delays(speed, control_step),
-            map(self.car.corners.index, self.car.driven),
-        )
+        delays = wheels.delays(speed, control_step)
+        driven = map(self.car.corners.index, self.car.driven)
         self._wheels = [(wheels.track[i], float(delays[i])) for i in driven]
-        self._tracks, self._kept = wheels.tracks, math.ceil(max(delays)) + 1
+        self._tracks = wheels.tracks
+        self._kept = math.ceil(max(delays)) + 1
         self.reset()
 
     def _start(self, count: int) -> None:

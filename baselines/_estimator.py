@@ -39,15 +39,11 @@ class Estimator:
             np.zeros((model.n, model.n)) if noise is None else noise,
         )
         if isinstance(model, Model):
-            self.gain, self._currents = (
-                kalman_gain(model, sensors, noise),
-                slice(CURRENT, CURRENT + 1),
-            )
+            self.gain = kalman_gain(model, sensors, noise)
+            self._currents = slice(CURRENT, CURRENT + 1)
         else:
-            self.gain, self._currents = (
-                model.kalman_gain(sensors, noise),
-                model.current_places,
-            )
+            self.gain = model.kalman_gain(sensors, noise)
+            self._currents = model.current_places
         self._measured = self.gain.shape[1]
         self._inputs, self._feedthrough = (
             model.inputs,

@@ -68,7 +68,8 @@ class Osqp:
         """Solve the program."""
         bare, most = self._bare, self._infinite
         # the solver reads contiguous memory and ignores strides
-        q, guess = np.ascontiguousarray(q), np.ascontiguousarray(guess)
+        q = np.ascontiguousarray(q)
+        guess = np.ascontiguousarray(guess)
         bare.update_data_vec(q=q, l=np.maximum(low, -most), u=np.minimum(high, most))
         bare.warm_start(guess, None)
         bare.solve()

@@ -59,10 +59,14 @@ class BatchController(ABC):
     preview: float = 0.0  # length of the previewed road, if any [s]
 
     def __init__(self, name: str, model: Network, control_step: float = 5e-3) -> None:
-        self.name, self.model, self.car = name, model, vehicle(model)
-        self.step, self.slew = control_step, SLEW_RATE * control_step
+        self.name = name
+        self.model = model
+        self.car = vehicle(model)
+        self.step = control_step
+        self.slew = SLEW_RATE * control_step
         self.fallbacks = 0
-        signals, currents = len(self.car.measured), len(self.car.driven)
+        signals = len(self.car.measured)
+        currents = len(self.car.driven)
         self._bounds = np.array([[signal.bound] for signal in self.car.measured])
         self._is_quarter = len(self.car.corners) == 1
         self._present = (

@@ -89,7 +89,8 @@ class Lqg(DesignedController[LqgSettings]):
                 -K @ by - _later(G, s.lead / self.step),
             )
             at, by = self._ahead(K, G, s.foresight / self.step)
-            self._rate, self._rate_ahead = m.motor_rate @ at, m.motor_rate @ by
+            self._rate = m.motor_rate @ at
+            self._rate_ahead = m.motor_rate @ by
             self._force = s.compensation * sum(m.levels()) / m.thrust
 
     def _ahead(
@@ -130,10 +131,8 @@ class Lqg(DesignedController[LqgSettings]):
         cars) [m]."""
         wanted, rate = self._law @ x, self._rate @ x
         if ahead is not None:
-            wanted, rate = (
-                wanted + self._law_ahead @ ahead,
-                rate + self._rate_ahead @ ahead,
-            )
+            wanted = wanted + self._law_ahead @ ahead
+            rate = rate + self._rate_ahead @ ahead
         return wanted - self._force * np.tanh(rate / self.settings.width)
 
 
@@ -145,7 +144,8 @@ class FullStateLqr(Lqg):
 
     def _design(self) -> None:
         super()._design()
-        m, channels = self.prediction, list(enumerate(state_channels(self.model)))
+        m = self.prediction
+        channels = list(enumerate(state_channels(self.model)))
         heights = [i for i, c in channels if c.quantity == "displacement"]
         speeds = [
             i

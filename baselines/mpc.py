@@ -142,7 +142,9 @@ class Mpc(DesignedController[MpcSettings]):
 
     def _condense(self, m: Model, free: Model, design: Weights) -> None:
         """Express the whole horizon as a matrix on (state, present current, friction beyond the damper, moves)."""
-        s, N, n = self.settings, self.settings.horizon, m.n
+        s = self.settings
+        N = self.settings.horizon
+        n = m.n
         pieces = len(s.moves)
         spread_out = np.zeros((N, pieces))  # change of current per step, by move
         start = 0
@@ -155,7 +157,8 @@ class Mpc(DesignedController[MpcSettings]):
         later = np.vstack([spread_out[1:], np.zeros((1, pieces))])
         self._later = np.linalg.lstsq(spread_out, later, rcond=None)[0]
         nf = len(free.friction) if self.planned else 0
-        G, S = free.G[:, free.friction], free.S[free.friction]
+        G = free.G[:, free.friction]
+        S = free.S[free.friction]
         self._damping = np.array(
             [self.linear.damping[free.laws[j].name] for j in free.friction]
         )
@@ -164,10 +167,8 @@ class Mpc(DesignedController[MpcSettings]):
         width = n + 1 + N * nf + pieces
         x = np.zeros((n, width))
         x[:, :n] = np.eye(n)
-        signals, rates = (
-            np.empty((N, 6, width)),
-            np.empty((N, len(free.friction), width)),
-        )
+        signals = np.empty((N, 6, width))
+        rates = np.empty((N, len(free.friction), width))
         for k in range(N):
             current = np.zeros(width)
             current[n] = 1.0
@@ -224,9 +225,11 @@ class Mpc(DesignedController[MpcSettings]):
         self._soft_programs: dict[int, Program] = defaultdict(
             partial(s.solver, P_soft, soft)
         )
-        self._rates_given, self._rates_moves = rates[:, :, given], rates[:, :, u]
+        self._rates_given = rates[:, :, given]
+        self._rates_moves = rates[:, :, u]
         # effect of the road on the rates k steps ahead, without feedback
-        V, deviations = np.zeros((n, n)), np.empty((N, len(free.friction)))
+        V = np.zeros((n, n))
+        deviations = np.empty((N, len(free.friction)))
         for k in range(N):
             V = m.A @ V @ m.A.T + m.W
             deviations[k] = np.sqrt(np.einsum("ji,ik,jk->j", S, V, S))

@@ -109,7 +109,8 @@ class BatchedVecEnv(VecEnv):
         self.render_mode = self.env.render_mode
         super().__init__(count, self.env.single_observation_space, action_space)
         self._stagger = stagger
-        self._returns, self._lengths = np.zeros(count), np.zeros(count, np.int64)
+        self._returns = np.zeros(count)
+        self._lengths = np.zeros(count, np.int64)
         self._begun = time.time()
 
     def reset(self) -> VecEnvObs:
@@ -283,7 +284,9 @@ class ScoreCallback(BaseCallback):
         self._save = None if save is None else str(save).removesuffix(".zip") + ".zip"
         if self._save is not None:
             check_file(self._save)
-        self.every, self.roads, self.duration = every, roads, float(duration)
+        self.every = every
+        self.roads = roads
+        self.duration = float(duration)
         self._wanted = tuple(references)
         self.references: dict[str, float] = {}
         self.history: list[tuple[int, float, float]] = []
@@ -325,7 +328,8 @@ class ScoreCallback(BaseCallback):
                 f" ({time.perf_counter() - begin:.1f} s)"
             )
         self._evaluated = self.num_timesteps
-        self._free, self._last = 0.0, time.perf_counter()
+        self._free = 0.0
+        self._last = time.perf_counter()
 
     def _cost(self, entry: Entry) -> float:
         """Return J of a policy on the validation roads."""
@@ -409,7 +413,8 @@ class _Learner:
     name, fallbacks = "policy", 0
 
     def __init__(self, model: BaseAlgorithm, task: Task) -> None:
-        self.model, self.observation = model, task.options.observation
+        self.model = model
+        self.observation = task.options.observation
         self.preview = task.options.preview
         self._normalize = model.get_vec_normalize_env()
         self._inputs = int(np.prod(model.observation_space.shape or ()))
@@ -417,7 +422,8 @@ class _Learner:
         box = model.action_space
         assert isinstance(box, spaces.Box)
         self._share = 1.0 / box.high  # of the largest action
-        signals, currents = len(task.measured), len(task.vehicle.driven)
+        signals = len(task.measured)
+        currents = len(task.vehicle.driven)
         self._present = slice(signals - currents, signals)
         scales = history_of(task.vehicle).scale[self._present]
         self._unit = (

@@ -127,10 +127,8 @@ def _listen() -> list[int]:
 
 def _explain(error: Any) -> int:
     """Print the error of a command line in one line, or the help where no command was given."""
-    context, text = (
-        getattr(error, "ctx", None),
-        " ".join(error.format_message().split()),
-    )
+    context = getattr(error, "ctx", None)
+    text = " ".join(error.format_message().split())
     if not sys.argv[1:]:
         error.show()
     else:

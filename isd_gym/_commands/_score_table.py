@@ -119,12 +119,10 @@ class _Table:
 
     def all(self) -> list[list[Part]]:
         """Return the parts of each table."""
-        main, motion, share, work = (
-            self.main(),
-            self.motion(),
-            self.shares(),
-            self.work(),
-        )
+        main = self.main()
+        motion = self.motion()
+        share = self.shares()
+        work = self.work()
         if self.is_narrow:
             return [[main], [motion], [share, work], self.corners()]
         return [[main, share], [motion, work], self.corners()]

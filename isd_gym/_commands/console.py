@@ -60,7 +60,8 @@ def lines() -> Iterator[Callable[[str], None]]:
         with _seldom() as say_seldom:
             yield say_seldom
         return
-    console, begun = Console(stderr=True), time.monotonic()
+    console = Console(stderr=True)
+    begun = time.monotonic()
     with console.status("starting") as status:
 
         def say(line: str) -> None:

@@ -128,8 +128,11 @@ def command(
 
         chosen = find_track(track)
         _refuse_conditions(context)
-        network, road, speed = chosen.network, chosen.road, chosen.speed
-        preview, episodes = chosen.preview or None, chosen.episodes
+        network = chosen.network
+        road = chosen.road
+        speed = chosen.speed
+        preview = chosen.preview or None
+        episodes = chosen.episodes
     check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)
     if report is not None:

@@ -202,7 +202,8 @@ def _write(
         from ..diagnosis.simulation._initial_state_fit import initial_state
 
         begun = initial_state(table, network, outputs=measured)
-        table, start = Table(begun.time, dict(begun.inputs), str(data)), begun.state
+        table = Table(begun.time, dict(begun.inputs), str(data))
+        start = begun.state
         for note in (*begun.notes, *map(str, begun.lags)):
             typer.echo(plain(note, 400), err=True)
     elif not isinstance(table, Table):

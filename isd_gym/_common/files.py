@@ -296,7 +296,8 @@ def _exchange(one: Path, other: Path) -> bool:
         call = getattr(ctypes.CDLL(None, use_errno=True), name)
     except (OSError, AttributeError):
         return False
-    first, second = os.fsencode(one.absolute()), os.fsencode(other.absolute())
+    first = os.fsencode(one.absolute())
+    second = os.fsencode(other.absolute())
     swap, here = (
         ctypes.c_uint(2),
         ctypes.c_int(-100),

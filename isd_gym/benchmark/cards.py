@@ -163,7 +163,8 @@ def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
             whys.append(f"{one['track']}: another {', '.join(differ)}")
             continue
         try:
-            own, other = np.array(score["roads"], float), np.array(one["roads"], float)
+            own = np.array(score["roads"], float)
+            other = np.array(one["roads"], float)
         except (KeyError, TypeError, ValueError):
             raise InputError("the score does not say which roads it is on") from None
         if own.shape != other.shape or not np.allclose(

@@ -96,12 +96,11 @@ class Ceiling:
     @property
     def sentence(self) -> str:
         """Value of the ceiling and proven bound in words, as in the documentation."""
-        what, who = "causal ceiling", "that does not see the road"
+        what = "causal ceiling"
+        who = "that does not see the road"
         if self.preview:
-            what, who = (
-                f"ceiling with {self.preview:g} s of road ahead",
-                f"that sees {self.preview:g} s of road ahead",
-            )
+            what = f"ceiling with {self.preview:g} s of road ahead"
+            who = f"that sees {self.preview:g} s of road ahead"
         bound = "There is no proven bound"
         if math.isfinite(self.proven_change):
             bound = (
@@ -152,7 +151,9 @@ def passive_cost(
     A = loan[n:, n:].T
     W = A @ loan[:n, n:]
     weights = np.array(cost.quadratic[:3])
-    X, total, steps = np.zeros((n, n)), 0.0, round(duration / control_step)
+    X = np.zeros((n, n))
+    total = 0.0
+    steps = round(duration / control_step)
     for _ in range(steps):
         X = A @ X @ A.T + W
         total += float(weights @ np.einsum("ij,jk,ik->i", car.C, X, car.C))
@@ -202,7 +203,9 @@ def ceiling(
     Returns:
         The ceiling; None for a car or a road of which fewer than `FEWEST` roads are known.
     """
-    network, ground, cost = Network.load(network), find_road(road), StageCost()
+    network = Network.load(network)
+    ground = find_road(road)
+    cost = StageCost()
     key = _episode_key(
         network,
         ground,
@@ -259,7 +262,8 @@ def reachable(network: Network, conditions: Conditions) -> dict[str, np.ndarray]
 def bounds_beside(result: Score) -> dict[str, Any]:
     """Return one line per bound of a score, and one line about the bounds left out; every row gets its shares of the known gains."""
     lines: dict[str, Any] = {}
-    allowed, drives = result.comparable, result.conditions
+    allowed = result.comparable
+    drives = result.conditions
     not_computed = "not computed for these conditions"
     if not allowed.clairvoyant:
         optimum = reachable(result.plant, drives)

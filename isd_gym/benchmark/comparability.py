@@ -58,11 +58,9 @@ def comparable(
     network: Network, conditions: Conditions, *, reference: str = "passive"
 ) -> Comparable:
     """Decide which bounds may be shown beside a score."""
-    ground, episodes, duration = (
-        conditions.road,
-        conditions.episodes,
-        conditions.duration,
-    )
+    ground = conditions.road
+    episodes = conditions.episodes
+    duration = conditions.duration
     if reference != "passive":
         return Comparable(
             *[f"changes are against {reference}, not passive"] * len(fields(Comparable))

@@ -76,7 +76,8 @@ class Conditions:
         """Check before long work that number and length of episodes are positive, and that their signals fit into the memory."""
         from ..env.task import CONTROL_STEP
 
-        episodes, duration = self.episodes, self.duration
+        episodes = self.episodes
+        duration = self.duration
         if episodes < 1:
             raise InputError(f"episodes must be at least 1, not {episodes}")
         if not 0 < duration < math.inf:
@@ -245,8 +246,11 @@ class Crew:
 
     def __init__(self, entry: Entry, cars: int) -> None:
         first = entry.driver()
-        self.name, self.cars, self.batched = entry.name, cars, first.is_batched
-        self.observation, self.preview = first.observation, first.preview
+        self.name = entry.name
+        self.cars = cars
+        self.batched = first.is_batched
+        self.observation = first.observation
+        self.preview = first.preview
         self._drivers = (
             [first]
             if self.batched

@@ -170,7 +170,8 @@ def linear_car(
     column = {n: j for j, n in enumerate(ss.inputs)}
     n = len(ss.A)
     r = column[name]
-    left, right = np.vstack([ss.A, ss.C]), np.concatenate([ss.B[:, r], ss.D[:, r]])
+    left = np.vstack([ss.A, ss.C])
+    right = np.concatenate([ss.B[:, r], ss.D[:, r]])
     # state of a car that is lifted by 1 m together with the road
     T = np.linalg.lstsq(left, -right, rcond=None)[0]
     if np.abs(left @ T + right).max() > 1e-6 * np.abs(right).max():
@@ -189,18 +190,19 @@ def linear_car(
     # a free device may drift unobserved (its travel has no cost): these states are removed
     unseen = null_space(left)
     seen = null_space(unseen.T) if unseen.size else np.eye(n)
-    A, B, G, C = seen.T @ ss.A @ seen, seen.T @ B, seen.T @ G, ss.C @ seen
+    A = seen.T @ ss.A @ seen
+    B = seen.T @ B
+    G = seen.T @ G
+    C = ss.C @ seen
     n = len(A)
     if (
         ground.cutoff > 0
     ):  # coloured road: the height of the road is an additional state
         pole = 2 * math.pi * ground.cutoff * speed
         A = np.block([[A, -pole * G[:, None]], [np.zeros((1, n)), np.array([[-pole]])]])
-        B, G, C = (
-            np.vstack([B, [[0.0]]]),
-            np.append(G, 1.0),
-            np.hstack([C, np.zeros((3, 1))]),
-        )
+        B = np.vstack([B, [[0.0]]])
+        G = np.append(G, 1.0)
+        C = np.hstack([C, np.zeros((3, 1))])
     intensity = (
         (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
     )
@@ -228,7 +230,8 @@ def stationary(car: Linear, gain: np.ndarray | None = None) -> np.ndarray:
 def _solve(car: Linear, weights: np.ndarray) -> LQPoint:
     """Return the optimum of an unlimited force for weights of the squares of acceleration, travel and tyre load."""
     w = np.asarray(weights, float)
-    Q, N = car.C.T @ (w[:, None] * car.C), (car.C.T @ (w * car.D))[:, None]
+    Q = car.C.T @ (w[:, None] * car.C)
+    N = (car.C.T @ (w * car.D))[:, None]
     R = np.array([[car.D @ (w * car.D)]])
     # scaled to unit weight on the first output, to keep the Riccati solver well conditioned
     scale = R[0, 0]
@@ -463,7 +466,8 @@ def wheelbase_bound(
     from ..physics.car_prediction import CarWeights, car_model, car_regulator
     from .policies import conventional
 
-    network, ground = Network.load(network), find_road(road)
+    network = Network.load(network)
+    ground = find_road(road)
     car = vehicle(network)
     if not ground.roughness > 0 or ground.profile is not None or ground.cutoff > 0:
         raise InputError(

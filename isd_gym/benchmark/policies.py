@@ -42,7 +42,8 @@ def conventional(network: Network) -> Network:
     Raises:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
-    own, count = vehicle(network), len(vehicle(network).corners)
+    own = vehicle(network)
+    count = len(vehicle(network).corners)
     if count not in _CONVENTIONAL:
         raise InputError(
             f"network '{network.name}' has {count} corners: conventional passive cars have 1, 2 or 4 of them"
@@ -130,7 +131,8 @@ def find(
         return passive(network)
     if name == "isd-passive":
         return Entry(name, lambda: Idle(name, network))
-    cost, belief = StageCost.of(cost, car.axes, len(car.corners)), model or network
+    cost = StageCost.of(cost, car.axes, len(car.corners))
+    belief = model or network
     if kind(belief) != kind(network):
         raise InputError(
             f"the controllers' model '{belief.name}' is a {kind(belief)}, but the plant '{network.name}' is a {kind(network)}"

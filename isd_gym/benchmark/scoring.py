@@ -355,10 +355,8 @@ def measures(
 
     energy = np.zeros(run.body_acceleration.shape[1])
     for corner in car.driven:
-        current, rate = (
-            run.signals[corner.named("current")],
-            run.signals[corner.named("device_travel_rate")],
-        )
+        current = run.signals[corner.named("current")]
+        rate = run.signals[corner.named("device_travel_rate")]
         power = _RESISTANCE * current**2 - car.thrust(corner) * current * rate
         energy = energy + np.sum(power, axis=0) * dt
     found = {

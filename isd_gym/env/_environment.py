@@ -360,11 +360,9 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
             InputError: The state is of another network, or of an environment with other options.
         """
         self.task.set_state(0, state)
-        self._np_random, self._steps, self._ready = (
-            copy.deepcopy(state["rng"]),
-            state["steps"],
-            True,
-        )
+        self._np_random = copy.deepcopy(state["rng"])
+        self._steps = state["steps"]
+        self._ready = True
         self._speed = float(self.task.batch.speeds[0])
         self._drawn = {
             name: values[0] for name, values in self.task.batch.drawn.items()

@@ -155,7 +155,8 @@ def _add_noise(
                 x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
                 x ^= x >> np.uint64(31)
                 u[k] = (float(x >> np.uint64(11)) + 0.5) / 9007199254740992.0
-            size, angle = math.sqrt(-2.0 * math.log(u[0])), 2.0 * math.pi * u[1]
+            size = math.sqrt(-2.0 * math.log(u[0]))
+            angle = 2.0 * math.pi * u[1]
             seen[i, first + j] += sigma[i, j] * size * math.cos(angle)
             if j + 1 < sigma.shape[1]:
                 seen[i, first + j + 1] += sigma[i, j + 1] * size * math.sin(angle)
@@ -178,9 +179,12 @@ class Sight:
         control_step: float,
     ) -> None:
         """Start with `cars` cars at rest."""
-        self.sensors, self.signals, self.step = sensors, len(signals), control_step
+        self.sensors = sensors
+        self.signals = len(signals)
+        self.step = control_step
         self.tracks, self.points = tracks, points
-        self.keys, self.count = np.zeros(cars, np.uint64), np.zeros(cars, np.uint64)
+        self.keys = np.zeros(cars, np.uint64)
+        self.count = np.zeros(cars, np.uint64)
         usual = NOISE | ANGULAR_NOISE
         self._usual = np.array([usual[kind] for kind in signals if kind != "current"])
         self.sigma = np.zeros((cars, len(self._usual)))
@@ -240,7 +244,8 @@ class Sight:
                 past[0, which] = obs[:, columns]
             if len(past) > 1:
                 out[:, columns] = past[-1, which]
-        keys, count = self.keys[which], self.count[which]
+        keys = self.keys[which]
+        count = self.count[which]
         if self.sigma.any():
             _add_noise(out, keys, count, 0, self.sigma[which])
         if self.points:

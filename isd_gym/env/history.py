@@ -183,7 +183,8 @@ class Remembered:
     def __init__(
         self, history: History, count: int, signals: int, width: int | None = None
     ) -> None:
-        self.signals, self.order = signals, history.order
+        self.signals = signals
+        self.order = history.order
         own = history.numbers(signals)
         self.features = np.zeros((count, own if width is None else width), np.float32)
         self.scale = np.array(history.scale or [1.0] * signals, np.float32)

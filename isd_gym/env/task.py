@@ -260,12 +260,16 @@ class Task:
         assert isinstance(options.sensors, Sensors) and isinstance(
             options.randomize, Mapping
         )
-        self.options, self.network, self.cost = options, options.network, options.cost
+        self.options = options
+        self.network = options.network
+        self.cost = options.cost
         self.vehicle: Vehicle = vehicle(self.network)
         self.measured = self.vehicle.measured
         self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads, *EXCEEDS)
-        control_step, varied = options.control_step, options.randomize
-        speed, speeds = options.speed, varied.get("speed", (options.speed,))
+        control_step = options.control_step
+        varied = options.randomize
+        speed = options.speed
+        speeds = varied.get("speed", (options.speed,))
         self.slowest = min(speed, *speeds)
         self.decision = control_step * options.hold
         self.episode = max(1, round(options.duration / self.decision))
@@ -366,7 +370,8 @@ class Task:
     def _make_spaces(self, extra: list[Any]) -> None:
         high = [signal.bound for signal in self.measured]
         self.labels = [f"{signal.name} [{signal.unit}]" for signal in self.measured]
-        step, tracks = self.options.control_step, self.batch.of.tracks
+        step = self.options.control_step
+        tracks = self.batch.of.tracks
         if self.options.observation == "full":
             high += [STATE_BOUND] * len(extra)
             self.labels += [
@@ -423,7 +428,9 @@ class Task:
         `batch.judged` then holds the mean terms of the cost over the control steps, the last tyre loads,
         and whether a limit was exceeded.
         """
-        batch, of, hold = self.batch, self.batch.of, self.options.hold
+        batch = self.batch
+        of = self.batch.of
+        hold = self.options.hold
         means = 1 + len(self.vehicle.costs)
         watch = self.is_faulty or self._remembered is not None
         earned: Any = 0.0
@@ -442,11 +449,9 @@ class Task:
             results = batch.results
             earned = earned + results[self.reward_row, : batch.count]
             if k == 0 and hold > 1:
-                sums, marks, broken = (
-                    results[:means].copy(),
-                    results[of.exceeds :].copy(),
-                    batch.broken,
-                )
+                sums = results[:means].copy()
+                marks = results[of.exceeds :].copy()
+                broken = batch.broken
             elif k > 0:
                 sums += results[:means]
                 np.maximum(marks, results[of.exceeds :], out=marks)
@@ -502,7 +507,8 @@ class Task:
             if isinstance(
                 e, el.SensorDelay
             ):  # the same as `apply` for a record, one sample at a time
-                low, part = int(e.delay / step), e.delay / step % 1.0
+                low = int(e.delay / step)
+                part = e.delay / step % 1.0
                 past = self._histories.setdefault(
                     e.name, np.zeros((low + 2, self.batch.count))
                 )
@@ -580,10 +586,8 @@ class Task:
         """Take road and speed from the options of a reset, for this and all following episodes."""
         if "road" not in options and "speed" not in options:
             return
-        ground, speed = (
-            road(options.get("road", self.batch.road)),
-            options.get("speed", self.batch.speed),
-        )
+        ground = road(options.get("road", self.batch.road))
+        speed = options.get("speed", self.batch.speed)
         if not is_number(speed) or not 1e-3 <= speed <= FASTEST:
             raise InputError(
                 f"speed must be a number from 0.001 to {FASTEST:g} m/s, not {shown(speed)}"

@@ -93,11 +93,9 @@ class Balance:
         Newton steps for all smooth laws at once come first. A law that does not agree then is bisected between a too small and a too
         large force.
         """
-        force, smooth, unforced = (
-            np.zeros(len(self.laws)),
-            self.smooth,
-            (elongation, rate),
-        )
+        force = np.zeros(len(self.laws))
+        smooth = self.smooth
+        unforced = (elongation, rate)
         if self.is_plain:
             force[smooth] = [self._answer(j, elongation[j], rate[j]) for j in smooth]
             return force
@@ -115,7 +113,8 @@ class Balance:
 
     def _newton(self, unforced: tuple[Array, Array], force: Array) -> Array:
         """Return forces after Newton steps with one-sided slopes, each shortened until the error decreases."""
-        smooth, error = self.smooth, self._lacking(unforced, force)
+        smooth = self.smooth
+        error = self._lacking(unforced, force)
         for _ in range(STEPS):
             if np.all(np.abs(error) <= TIGHT * (1.0 + np.abs(force[smooth]))):
                 break
@@ -142,7 +141,8 @@ class Balance:
         out, own = np.eye(len(self.smooth)), self.smooth
         for k, j in enumerate(own):
             here = self._answer(j, d[j], s[j])
-            dd, ds = AWAY * (1e-3 + abs(d[j])), AWAY * (1e-2 + abs(s[j]))
+            dd = AWAY * (1e-3 + abs(d[j]))
+            ds = AWAY * (1e-2 + abs(s[j]))
             out[k] -= (
                 (self._answer(j, d[j] + dd, s[j]) - here)
                 / dd
@@ -170,7 +170,9 @@ class Balance:
             return float(force[j])
         if excess(0.0) > 0.0:
             while reach < FARTHEST and excess(high) > 0.0:
-                low, high, reach = high, high + reach, 4.0 * reach
+                low = high
+                high = high + reach
+                reach = 4.0 * reach
         else:
             while reach < FARTHEST and excess(low) < 0.0:
                 low, high, reach = low - reach, low, 4.0 * reach

@@ -68,11 +68,9 @@ class Batch:
             raise InputError(
                 f"control step {control_step} s is not a whole multiple of physics step {physics_step} s"
             )
-        self.control_step, self.speed, self.duration = (
-            control_step,
-            float(speed),
-            duration,
-        )
+        self.control_step = control_step
+        self.speed = float(speed)
+        self.duration = duration
         self.road = road(road_)
         self.randomize = ranges(network, randomize)
         self._spread = {
@@ -152,7 +150,9 @@ class Batch:
 
     def _tables(self) -> np.ndarray:
         """Return the integers of the kernel's control step (`layout`)."""
-        car, plant, wheels = self.vehicle, self.plant, self.vehicle.wheels
+        car = self.vehicle
+        plant = self.plant
+        wheels = self.vehicle.wheels
         columns = dict.fromkeys(
             ((c.road_input, part) for c in car.corners for part in ("r", "v", "alpha")),
             -1,
@@ -316,7 +316,8 @@ class Batch:
             self._setup[[place.SHAPE, place.LINE]] = len(self._settings), value.line
             self._settings = np.concatenate([self._settings, value.numbers])
             self._value_rows = sum(value.slope.shape) + self.substeps
-        self.seen, self.threads = np.zeros((self.count, width), np.float32), threads
+        self.seen = np.zeros((self.count, width), np.float32)
+        self.threads = threads
         self._arguments()
 
     # ---------------------------------------------------------------------------------------- reset
@@ -359,7 +360,9 @@ class Batch:
         if self._roads:
             self.drawn["road"][i] = ground.name
         self.speeds[i] = speed
-        h, cars, of = self.plant.step, self._cars, self.of
+        h = self.plant.step
+        cars = self._cars
+        of = self.of
         poles, gains = self._filters(ground, speed)
         cars[of.pole : of.rough, i], cars[of.gain : of.pole, i] = poles, gains
         cars[of.late : of.gain, i] = self.vehicle.wheels.delays(speed, h)
@@ -483,7 +486,8 @@ class Batch:
         ]
         if profile:
             ways[of.profile : of.profile_end] -= begin
-        now, kept = int(self._setup[place.NOW]), int(self._setup[place.KEPT_NOW])
+        now = int(self._setup[place.NOW])
+        kept = int(self._setup[place.KEPT_NOW])
         return {
             "states": self._states[group, :, lane].copy(),
             "cars": self._cars[:, i].copy(),
@@ -514,7 +518,8 @@ class Batch:
             ways[of.profile_end : of.profile_end + tracks] = self._ways[
                 of.profile_end : of.profile_end + tracks, i
             ]
-        now, kept = int(self._setup[place.NOW]), int(self._setup[place.KEPT_NOW])
+        now = int(self._setup[place.NOW])
+        kept = int(self._setup[place.KEPT_NOW])
         self._states[group, :, lane], self._cars[:, i], self._ways[:, i] = (
             state["states"],
             state["cars"],

@@ -116,7 +116,9 @@ def _value_of(text: str, cost: StageCost, step: float, speed: float) -> Value:
     damping = _dampers(car, cost, step, intensity)
     model = car_model(network, step, speed, damping=damping, road_intensity=intensity)
     weights, of_currents = CarWeights(cost, centring=CENTRING).of(model)
-    n, motion, currents = model.n, model.motion, len(of_currents)
+    n = model.n
+    motion = model.motion
+    currents = len(of_currents)
     # X+ = F X + b u, with the changes u of the currents
     F = np.eye(n + currents)
     F[:n, :n], F[:n, n:] = model.A, model.inputs

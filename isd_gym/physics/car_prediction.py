@@ -119,7 +119,8 @@ class CarModel(WholeCar):
         (points, line)."""
         points = int(self.delays[corner])
         size = self.n - self.motion
-        rows, line = np.zeros((points, size)), self.rises[corner]
+        rows = np.zeros((points, size))
+        line = self.rises[corner]
         for k in range(points):  # the line advances without new rises
             rows[k] = line
             line = line @ self.A[self.motion :, self.motion :]
@@ -161,11 +162,9 @@ class CarWeights:
     def of(self, model: WholeCar) -> tuple[np.ndarray, np.ndarray]:
         """Return the weights of the channels (channels,) and of the currents (currents,) of a model."""
         car = model.car
-        corners, currents, motions = (
-            len(car.corners),
-            len(car.driven),
-            1 + len(car.axes),
-        )
+        corners = len(car.corners)
+        currents = len(car.driven)
+        motions = 1 + len(car.axes)
         factors = self.cost.factors(car.axes, corners, currents)
         q = np.zeros(len(car.channels))
         q[:motions] = factors[:motions]
@@ -201,12 +200,11 @@ class _Line:
         ]
         starts = np.concatenate([[0], np.cumsum(lengths)]).astype(int)
         size = int(starts[-1])
-        heights, rises = np.zeros((len(delays), size)), np.zeros((len(delays), size))
-        new, shift, entry = (
-            np.zeros((len(delays), count)),
-            np.zeros((size, size)),
-            np.zeros((size, count)),
-        )
+        heights = np.zeros((len(delays), size))
+        rises = np.zeros((len(delays), size))
+        new = np.zeros((len(delays), count))
+        shift = np.zeros((size, size))
+        entry = np.zeros((size, count))
         for t, length in enumerate(lengths):
             shift[starts[t] + 1 : starts[t + 1], starts[t] : starts[t + 1] - 1] = (
                 np.eye(max(length - 1, 0))

@@ -57,7 +57,8 @@ class Running:
     """
 
     def __init__(self, network: Network, step: float = PHYSICS_STEP) -> None:
-        self.network, self.largest = network, float(step)
+        self.network = network
+        self.largest = float(step)
         self.plants: dict[float, Plant] = {}
         self.state: np.ndarray | None = None
         self.drives = any(e.place == "element" for e in network.elements)
@@ -220,7 +221,8 @@ class Running:
         s = np.linspace(0.0, 1.0, rows)
         m0 = self.slope[name] * seconds
         m1 = 1.5 * (end - begin) - 0.5 * (begin - before)
-        a, b = 2 * begin - 2 * end + m0 + m1, 3 * end - 3 * begin - 2 * m0 - m1
+        a = 2 * begin - 2 * end + m0 + m1
+        b = 3 * end - 3 * begin - 2 * m0 - m1
         r = begin + m0 * s + b * s**2 + a * s**3
         return (
             r,

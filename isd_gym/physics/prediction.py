@@ -244,13 +244,11 @@ def prediction_model(
         [*vehicle(network).channels, *state_channels(network)],
         dict(damping or {}),
     )
-    rate, out, R, cols, apart = (
-        parts.rate,
-        parts.out,
-        parts.R,
-        parts.columns,
-        parts.apart,
-    )
+    rate = parts.rate
+    out = parts.out
+    R = parts.R
+    cols = parts.columns
+    apart = parts.apart
     if cols["r"].stop - cols["r"].start != 1:
         raise InputError(
             f"network '{network.name}': a controller's car stands on one road"
@@ -402,7 +400,8 @@ def riccati(
 def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     """Return gain K (n,) of ``I = -K x`` and value matrix (n, n) of the linear-quadratic regulator without friction."""
     # signals at the end of the step
-    C, D = model.C @ model.A, model.C @ model.B + model.D
+    C = model.C @ model.A
+    D = model.C @ model.B + model.D
     Q, R, N = weighted(C, D[:, None], weights.signals)
     R += weights.current
     V = riccati(model.network, model.A, model.inputs, Q, R, N)

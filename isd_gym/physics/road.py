@@ -108,7 +108,8 @@ class Road:
             )
         if self.abscissa is None or self.profile is None:
             return
-        count, shape = len(self.abscissa), self.profile.shape
+        count = len(self.abscissa)
+        shape = self.profile.shape
         if shape not in ((count,), (2, count)):
             raise InputError(
                 f"road {shown(self.name)}: a profile over {count} places has the shape ({count},) or "
@@ -504,7 +505,9 @@ def _height_columns(path: Path, names: list[str]) -> list[str]:
         found.append(("number", -1, plain))
     for name in names:
         if match := _SIDE_COLUMN.fullmatch(name):
-            left, right, number = match[1] or match[4], match[2] or match[5], match[3]
+            left = match[1] or match[4]
+            right = match[2] or match[5]
+            number = match[3]
             side = "left" if left else "right" if right else "number"
             found.append((side, int(number or 0), name))
     found.sort()

@@ -78,7 +78,8 @@ class _Discrete:
 
 def _columns(asm: Assembly) -> list[int]:
     """Return the used columns of the base vector that are linear over the step: r, v, alpha, F."""
-    start, stop = asm.columns("r").start, asm.columns("F").stop
+    start = asm.columns("r").start
+    stop = asm.columns("F").stop
     used = (
         np.any(asm.rate != 0, axis=0)
         | np.any(asm.outputs != 0, axis=0)
@@ -148,25 +149,29 @@ def _discretise(
     from ._kernel.compiled import law_code
 
     asm = assemblies[0]
-    n, lanes, instant = asm.size[0], len(assemblies), _instant(asm)
-    x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
+    n = asm.size[0]
+    lanes = len(assemblies)
+    instant = _instant(asm)
+    x = asm.columns("x")
+    u = list(columns)
+    c = asm.columns("I")
+    f = asm.columns("f")
     rate = np.stack([a.rate for a in assemblies])
     B = np.concatenate([rate[:, :, u], rate[:, :, c], rate[:, :, f]], axis=2)
     m, nc = len(u), c.stop - c.start
     Ad, hold, late = _step_matrices(assemblies, B, step)
     early = hold - late
-    U0, U1, G0, G1 = (
-        early[:, :, :m],
-        late[:, :, :m],
-        early[:, :, m + nc :],
-        late[:, :, m + nc :].copy(),
-    )
+    U0 = early[:, :, :m]
+    U1 = late[:, :, :m]
+    G0 = early[:, :, m + nc :]
+    G1 = late[:, :, m + nc :].copy()
     codes = tuple(law_code(type(e)) for e in asm.laws)
     dry = np.array([code < 0 for code in codes], bool)
     G1[:, :, dry] += G0[:, :, dry]  # dry friction holds its force over the whole step
     G0[:, :, dry] = 0.0
     order = np.argsort(dry, kind="stable")
-    codes, dry = tuple(codes[j] for j in order), dry[order]
+    codes = tuple(codes[j] for j in order)
+    dry = dry[order]
     nl, ns = len(codes), int(np.sum(~dry))
     start, end = G0[:, :, order], G1[:, :, order]
     E = np.stack([a.elongation[order] for a in assemblies])
@@ -192,7 +197,8 @@ def _discretise(
     if differ.any():
         last = n + 2 * m + nc
         S[:, :, last : last + nl] -= np.diag(differ / step)
-    GD, GS = E[:, :, x] @ end + E[:, :, own], R[:, :, x] @ end + R[:, :, own]
+    GD = E[:, :, x] @ end + E[:, :, own]
+    GS = R[:, :, x] @ end + R[:, :, own]
     smooth = ~dry[:, None]
     rows = np.concatenate(
         [states, np.where(smooth, D, S), np.where(smooth, S, D)], axis=1
@@ -215,7 +221,8 @@ def _discretise(
     linear = np.concatenate(
         [np.full((lanes, 1), step), _stored(rows), _stored(gains)], axis=1
     )
-    outside, currents = _stored(seen_outside), _pad(held)
+    outside = _stored(seen_outside)
+    currents = _pad(held)
     out = []
     for k, a in enumerate(assemblies):
         laws = [a.laws[j] for j in order]
@@ -350,7 +357,8 @@ def _with_laws(part: _Discrete, laws: Sequence[el.Element]) -> _Discrete:
         bool(at.differ),
         bool(at.instant),
     )
-    numbers, ints = part.numbers.copy(), part.ints.copy()
+    numbers = part.numbers.copy()
+    ints = part.ints.copy()
     numbers[at.spans : at.out], numbers[at.own :] = of_laws, parameters.ravel()
     ints[WAY] = way
     return replace(part, numbers=numbers, ints=ints)
@@ -412,7 +420,8 @@ class Plant:
         several = not isinstance(networks, Network)
         self.networks: list[Network] = list(networks) if several else [networks]  # type: ignore[list-item,arg-type]
         self.lanes = len(self.networks) if several else lanes
-        self.step, self.extra = float(step), tuple(extra)
+        self.step = float(step)
+        self.extra = tuple(extra)
         # many lanes may share a network, or differ only in the parameters of their laws
         keys = {id(net): (net, _linear_part(net)) for net in self.networks}
         distinct: dict[tuple[Any, ...], Network] = {}
@@ -498,7 +507,9 @@ class Plant:
         self.ints[WAY] = min(int(p.ints[WAY]) for p in parts)
         self.at = at = layout(self.ints.tolist())
         self.groups = -(-self.lanes // WIDTH)
-        self.n, self.n_laws, self.n_outputs = at.states, at.laws, at.outputs
+        self.n = at.states
+        self.n_laws = at.laws
+        self.n_outputs = at.outputs
         self.order = first.order
         if several:
             self.mats = aligned(self.groups, at.size, WIDTH)
@@ -605,7 +616,8 @@ class Plant:
             given[list(self.u_columns)] = inputs[:, lane if inputs.shape[1] > 1 else 0]
             if held is not None:
                 given[asm.columns("I")] = held[:, lane if held.shape[1] > 1 else 0]
-            network, unforced = (id(asm.laws), id(asm.rate)), (E @ given, R @ given)
+            network = (id(asm.laws), id(asm.rate))
+            unforced = (E @ given, R @ given)
             key = (*network, unforced[0].tobytes(), unforced[1].tobytes())
             if key in solved:
                 state[at.states :, lane] = state[at.states :, solved[key]]
@@ -618,7 +630,8 @@ class Plant:
             given[own] = f[:, lane] = balance.solve(*unforced)
             d[:, lane], s[:, lane] = E @ given, R @ given
             for j in balance.smooth:
-                law, p = balance.laws[j].law, balance.numbers[j]
+                law = balance.laws[j].law
+                p = balance.numbers[j]
                 _, after = law(  # type: ignore[misc]
                     p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step
                 )

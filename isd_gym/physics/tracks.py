@@ -151,10 +151,8 @@ def track_filters(
     poles = np.hypot(slow, np.array(COHERENCE_POLES) / width)
     parts = 0.5 * intensity * np.array(COHERENCE_WEIGHTS)
     if intensity == 0.0:
-        discrete, gains = (
-            np.exp(-spacing * np.concatenate([[slow], poles, poles])),
-            np.zeros(TRACK_STATES),
-        )
+        discrete = np.exp(-spacing * np.concatenate([[slow], poles, poles]))
+        gains = np.zeros(TRACK_STATES)
     else:
         common = innovations(
             np.append(slow, poles), np.append(intensity, -parts), spacing

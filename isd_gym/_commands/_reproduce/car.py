@@ -107,8 +107,10 @@ def _draw(study: Study, found: Score, policy: str) -> None:
     cost = runs["passive"].cost(StageCost())
     episode = int(np.argsort(cost)[len(cost) // 2])
     shown = slice(0, round(5.0 / CONTROL_STEP))
-    histories, spectra = figure(7.2, 4.8), figure(7.6, 3.0)
-    rows, columns = histories.subplots(3, 1, sharex=True), spectra.subplots(1, 3)
+    histories = figure(7.2, 4.8)
+    spectra = figure(7.6, 3.0)
+    rows = histories.subplots(3, 1, sharex=True)
+    columns = spectra.subplots(1, 3)
     for above, beside, signal in zip(rows, columns, SIGNALS, strict=True):
         name, unit, scale, _ = signal
         for who, look in looks.items():

@@ -334,7 +334,8 @@ class Grid:
         files = belongings(
             (policy, condition.network, condition.road, condition.model or "")
         )
-        out, stop = [], condition.episodes or self.episodes
+        out = []
+        stop = condition.episodes or self.episodes
         for first in range(0, stop, self.batch):
             item = {
                 "policy": policy,

@@ -167,7 +167,8 @@ def _assemble(networks: Sequence[Network], extra: Sequence[Channel]) -> list[Ass
     channels = (*network.outputs, *extra)
     found = [outputs.row(channel) for channel in channels]
     rows = [row for row, _ in found]
-    elongation, elongation_rate = law_rows @ motion.position, law_rows @ motion.velocity
+    elongation = law_rows @ motion.position
+    elongation_rate = law_rows @ motion.velocity
     for j, e in enumerate(laws[0]):
         if e.loaded:  # the kernel passes the load instead of the elongation
             elongation[:, j] = outputs.force_of(
@@ -327,7 +328,9 @@ def _matrices(
     lanes: Sequence[Sequence[el.Element]],
 ) -> _Matrices:
     shape = (len(networks), nodes.count, nodes.count)
-    inertia, damping, stiffness = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    inertia = np.zeros(shape)
+    damping = np.zeros(shape)
+    stiffness = np.zeros(shape)
     carried = [n.carried for n in networks]
     for node in carried[0]:
         row = nodes.row(node)
@@ -405,16 +408,15 @@ class _Split:
 def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
     """Return the directions of the free nodes; raise `InputError` for an inertia between a massless and a moved node."""
     free = len(nodes.free)
-    inertias, dampings = (
-        matrices.inertia[:, :free, :free],
-        matrices.damping[:, :free, :free],
-    )
+    inertias = matrices.inertia[:, :free, :free]
+    dampings = matrices.damping[:, :free, :free]
     inertia, damping = inertias[0], dampings[0]
     left, values, right = (
         np.linalg.svd(inertia) if free else (np.eye(0), np.zeros(0), np.eye(0))
     )
     rank = int(np.sum(values > NO_MASS * values[0])) if free and values[0] > 0 else 0
-    left_massless, massless = left[:, rank:], right[rank:].T
+    left_massless = left[:, rank:]
+    massless = right[rank:].T
     if left_massless.size:
         carried = np.abs(left_massless.T @ ties.inertia).max(axis=(1, 2), initial=0.0)
         if np.any(carried > NO_SHARE * np.abs(matrices.inertia).max(axis=(1, 2))):
@@ -424,11 +426,10 @@ def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
     turn, strengths, turn_right = np.linalg.svd(left_massless.T @ damping @ massless)
     least = NO_MASS * max(np.abs(damping).max(initial=0.0), 1e-300)
     damped = int(np.sum(strengths > least)) if strengths.size else 0
-    inertial, resisted = (
-        _upright(right[:rank].T),
-        _upright(massless @ turn_right[:damped].T),
-    )
-    pushed, dragged = _upright(left[:, :rank]), left_massless @ turn[:, :damped]
+    inertial = _upright(right[:rank].T)
+    resisted = _upright(massless @ turn_right[:damped].T)
+    pushed = _upright(left[:, :rank])
+    dragged = left_massless @ turn[:, :damped]
     # [None]: older NumPy takes a right side with one axis fewer for a vector
     return _Split(
         inertial=inertial,
@@ -451,7 +452,8 @@ def _upright(directions: np.ndarray) -> np.ndarray:
     nodes, rank = directions.shape
     if rank == nodes:
         return np.eye(nodes)
-    out, left = np.zeros((nodes, rank)), directions @ directions.T
+    out = np.zeros((nodes, rank))
+    left = directions @ directions.T
     for k in range(rank):
         size = np.linalg.norm(left, axis=0)
         node = int(np.argmax(size > UPRIGHT * size.max()))
@@ -476,7 +478,9 @@ def _pushes(
     size: Size,
 ) -> _Pushes:
     """Return the forces on the nodes: forces push inwards, motors and laws (positive in tension) outwards."""
-    network, at, width = networks[0], _spans(size), sum(_widths(size))
+    network = networks[0]
+    at = _spans(size)
+    width = sum(_widths(size))
     push = np.zeros((len(networks), nodes.count, width))
     for j, channel in enumerate(c for c in network.inputs if c.quantity == "force"):
         push[:, :, at["F"].start + j] += nodes.row(str(channel.at))
@@ -523,14 +527,14 @@ def _motion(
 ) -> _Motion:
     """Return the motion of all nodes; raise `InputError` for a massless node without support."""
     (free, moved), s = ties.frame.shape, split
-    inertias, dampings = s.inertial.shape[1], s.damped.shape[1]
+    inertias = s.inertial.shape[1]
+    dampings = s.damped.shape[1]
     r, v, alpha = (_entries(size, part, moved) for part in ("r", "v", "alpha"))
-    C, K = matrices.damping[:, :free, :free], matrices.stiffness[:, :free, :free]
+    C = matrices.damping[:, :free, :free]
+    K = matrices.stiffness[:, :free, :free]
     # states: displacement and momentum of the inertial directions, displacement of the damped directions
-    inertial, momentum = (
-        _entries(size, "x", inertias),
-        _entries(size, "x", inertias, inertias),
-    )
+    inertial = _entries(size, "x", inertias)
+    momentum = _entries(size, "x", inertias, inertias)
     damped = _entries(size, "x", dampings, 2 * inertias)
     inertial_rate = momentum - s.accelerates @ ties.momentum @ v
     known = (
@@ -623,7 +627,9 @@ class _Outputs:
 
     def mover(self, node: str, where: str) -> np.ndarray:
         """Return the force that moves a moved node, as measured by a load cell between drive and node."""
-        total, at, network = self.nothing(), self.nodes.index[node], self.networks[0]
+        total = self.nothing()
+        at = self.nodes.index[node]
+        network = self.networks[0]
         for e in network.elements:
             sign = self.nodes.incidence(e.between)[at] if e.place == "between" else 0.0
             if sign:

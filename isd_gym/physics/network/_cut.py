@@ -157,7 +157,8 @@ def rejoin(whole: Network, part: Network) -> Network:
     own = {e.name for e in part.elements}
     elements = (*part.elements, *(e for e in away if e.name not in own))
     cells = {c.name: c for c in part.outputs}
-    bodies, levers = {b.name: b for b in part.bodies}, {v.name: v for v in part.levers}
+    bodies = {b.name: b for b in part.bodies}
+    levers = {v.name: v for v in part.levers}
     joined = replace(
         whole,
         masses={n: part.masses.get(n, m) for n, m in whole.masses.items()},

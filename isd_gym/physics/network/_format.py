@@ -78,7 +78,8 @@ def from_dict(data: Any) -> Network:
     _check_keys(data, known, {"schema", "elements"}, "the model")
     if data["schema"] != SCHEMA:
         raise InputError(f"schema is {shown(data['schema'])}, expected '{SCHEMA}'")
-    masses, inertias = data.get("masses", {}), data.get("inertias", {})
+    masses = data.get("masses", {})
+    inertias = data.get("inertias", {})
     for key, value, unit in (
         ("masses", masses, "kg"),
         ("inertias", inertias, "kg m^2"),
@@ -223,7 +224,8 @@ def _read_bodies(data: Any) -> tuple[Body, ...]:
         where = f"body {shown(name)}"
         check_name(name, "bodies")
         _check_keys(entry, {"mass", "inertia", "points"}, {"mass"}, where)
-        inertia, points = entry.get("inertia", {}), entry.get("points", {})
+        inertia = entry.get("inertia", {})
+        points = entry.get("points", {})
         _check_keys(inertia, set(AXES), set(), f'{where}: "inertia"')
         if None in inertia.values():
             raise InputError(

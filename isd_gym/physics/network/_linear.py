@@ -54,12 +54,15 @@ def slopes(
 
     Laws that read a logged channel have the slope at the reference of the channel.
     """
-    slopes_k, slopes_c = np.zeros(len(laws)), np.zeros(len(laws))
+    slopes_k = np.zeros(len(laws))
+    slopes_c = np.zeros(len(laws))
     for j, e in enumerate(laws):
         if e.name in damping:
             slopes_c[j] = damping[e.name]
         elif e.law is not None:
-            p, d, h = np.array(e.law_parameters()), 1e-7, 1e-9
+            p = np.array(e.law_parameters())
+            d = 1e-7
+            h = 1e-9
             slopes_k[j] = (
                 e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]
             ) / (2 * d)
@@ -146,7 +149,8 @@ def transfer(network: Network, frequency: np.ndarray) -> np.ndarray:
         InputError: The network has no linear state space.
     """
     space = linearise(network)
-    response, s = space.response(frequency), 2j * np.pi * np.asarray(frequency, float)
+    response = space.response(frequency)
+    s = 2j * np.pi * np.asarray(frequency, float)
     out = np.zeros((len(s), len(network.outputs), len(network.inputs)), complex)
     for j, c in enumerate(network.inputs):
         for order in range(3):
@@ -200,7 +204,8 @@ def linearise(
             np.linalg.LinAlgError,
         ):  # a law without a slope or without support
             raise InputError(TOO_FAR_APART) from None
-        rate, out = rate + rate[:, f] @ gain, out + out[:, f] @ gain
+        rate = rate + rate[:, f] @ gain
+        out = out + out[:, f] @ gain
         if not (np.isfinite(rate).all() and np.isfinite(out).all()):
             raise InputError(TOO_FAR_APART)
     names: list[str] = []

@@ -469,7 +469,8 @@ class Network:
             if GROUND in e.where and e.linear()[2] > 0
             for n in e.where
         ]
-        reached, frontier = set(), [*self.inertial, *inert, *self.moved_nodes, GROUND]
+        reached = set()
+        frontier = [*self.inertial, *inert, *self.moved_nodes, GROUND]
         while frontier:
             node = frontier.pop()
             if node not in reached:
@@ -786,10 +787,8 @@ class Network:
         Raises:
             InputError: No such parameter exists, or a value is outside its limits.
         """
-        masses, bodies = (
-            dict(self.masses),
-            {path: b.name for b in self.bodies for path in b.parameters},
-        )
+        masses = dict(self.masses)
+        bodies = {path: b.name for b in self.bodies for path in b.parameters}
         levers = {f"{v.name}.ratio": v.name for v in self.levers}
         kinds = {e.name: type(e) for e in self.elements}
         changes: dict[str, dict[str, Any]] = {}

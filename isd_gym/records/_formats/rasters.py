@@ -5,7 +5,8 @@ from __future__ import annotations
 
 def own_stamps(found):
     """Return the stamps of every raster under the raster's number, then the channels as "number name"."""
-    rasters, columns = [stamps for stamps, _ in list(found.values())[:1]], []
+    rasters = [stamps for stamps, _ in list(found.values())[:1]]
+    columns = []
     for name, (stamps, values) in found.items():
         number = next(
             (

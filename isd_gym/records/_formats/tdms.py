@@ -47,7 +47,8 @@ def _stamps(channel, every):
     import numpy as np
 
     starts = [c.properties.get("wf_start_time") for _, c in every]
-    own, late = channel.properties.get("wf_start_time"), 0.0
+    own = channel.properties.get("wf_start_time")
+    late = 0.0
     if own is not None and all(s is not None for s in starts):
         late = (
             (np.datetime64(own) - min(np.datetime64(s) for s in starts))

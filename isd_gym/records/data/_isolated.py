@@ -64,7 +64,8 @@ class Helper:
         self, request: dict[str, Any], patience: float
     ) -> tuple[dict[str, Any], list[np.ndarray]] | None:
         """Return header and columns of a table; None if the process died or took longer than `patience` [s]."""
-        asked, told = self.process.stdin, self.process.stdout
+        asked = self.process.stdin
+        told = self.process.stdout
         assert asked is not None and told is not None
         watch = threading.Timer(patience, self.process.kill)
         watch.daemon = True
@@ -139,7 +140,8 @@ def read(
             f"{path}: reading {path.suffix} needs {module.LIBRARIES[0]}: {how_to_install(module.EXTRA)}"
         )
     size = plain_file(path) / 2**20
-    seconds, limit = SECONDS + SECONDS_PER_MB * size, memory_limit()
+    seconds = SECONDS + SECONDS_PER_MB * size
+    limit = memory_limit()
     request = {
         "reader": reader,
         "path": os.path.abspath(path),

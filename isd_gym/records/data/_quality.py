@@ -181,7 +181,8 @@ class _Channel:
     @property
     def ends(self) -> tuple[tuple[float, str], tuple[float, str]]:
         """Largest and smallest value, without negative zeros, and their names."""
-        largest, smallest = float(self.x.max()), float(self.x.min())
+        largest = float(self.x.max())
+        smallest = float(self.x.min())
         return (largest + 0.0, "largest"), (smallest + 0.0, "smallest")
 
     def finding(self, level: Level, text: str, flags: np.ndarray) -> Finding:
@@ -329,7 +330,8 @@ def _spans(flags: np.ndarray, time: np.ndarray) -> tuple[Span, ...]:
 
 def _check_length(time: np.ndarray, scale: Scale) -> list[Finding]:
     """Return an error on a record of few samples, and a warning where few samples are few periods of the rig, too."""
-    count, periods = len(time), float(np.ptp(time)) / scale.period
+    count = len(time)
+    periods = float(np.ptp(time)) / scale.period
     if count < FEW_SAMPLES:
         return [
             Finding(
@@ -354,7 +356,8 @@ def _check_step(time: np.ndarray, scale: Scale) -> list[Finding]:
         scale.time if math.isnan(scale.slowest) else max(scale.time, scale.slowest)
     )
     # a slow step on a fast rig is no wrong unit yet
-    slow, shortest = max(min(slowest, duration), CAR), SHORTEST * min(scale.time, CAR)
+    slow = max(min(slowest, duration), CAR)
+    shortest = SHORTEST * min(scale.time, CAR)
     text = f"a step of {step:.4g} s is implausible: is time in another unit than s?"
     if not shortest <= step <= LONGEST * slow:
         return [Finding("error", TIME, text)]
@@ -438,7 +441,10 @@ def _check_magnitude(channel: _Channel, step: float, of_model: float) -> list[Fi
     unit, doubtful, impossible, least = QUANTITIES[quantity]
     spread, speed = spread_and_speed(x, step, quantity)
     if 1 / ALIKE < of_model < ALIKE:
-        doubtful, impossible, least, speed = math.inf, math.inf, 0.0, 0.0
+        doubtful = math.inf
+        impossible = math.inf
+        least = 0.0
+        speed = 0.0
     level: Level = "warning"
     text = f"{quantity} reaches {spread:.4g} {unit}"
     if spread > impossible or speed > MAX_SPEED:
@@ -532,7 +538,8 @@ def _sticks(channel: _Channel, least: int) -> bool:
 
     After a dropout the channel returns at another level.
     """
-    x, after = channel.x, channel.starts + channel.lengths
+    x = channel.x
+    after = channel.starts + channel.lengths
     rests = np.flatnonzero((channel.lengths >= least) & (after < len(x)))
     levels = channel.levels[rests]
     if len(np.unique(levels)) < 5:
@@ -546,11 +553,13 @@ def _turns_on_stairs(channel: _Channel, value: float) -> bool:
     """Return whether a channel rests at a value once, and at levels just before and just after it, as a coarse encoder does where the motion
     turns; a clipped channel enters and leaves the value in motion."""
     starts, lengths = channel.starts, channel.lengths
-    is_long, is_value = lengths >= STAIR, channel.levels == value
+    is_long = lengths >= STAIR
+    is_value = channel.levels == value
     at = np.flatnonzero(is_value & is_long)
     if len(at) != 1:
         return False
-    first, length = int(starts[at[0]]), int(lengths[at[0]])
+    first = int(starts[at[0]])
+    length = int(lengths[at[0]])
     near = is_long & ~is_value
     before = near & (starts < first) & (starts + lengths >= first - length)
     after = near & (starts > first) & (starts <= first + 2 * length)
@@ -584,7 +593,9 @@ def _moving_during(others: Sequence[_Channel]) -> Moving:
 
 def _missed_power(channel: _Channel, held: np.ndarray) -> float:
     """Return the share of a channel's power that frozen runs miss (see `check`)."""
-    x, starts, lengths = channel.x, channel.starts, channel.lengths
+    x = channel.x
+    starts = channel.starts
+    lengths = channel.lengths
     frozen = np.repeat(held, lengths)
     sound = np.cumsum(np.r_[0, frozen])
 
@@ -647,7 +658,8 @@ def _check_held(
     """
     if slow := _sampled_slowly(channel):
         return slow
-    moving, is_alone = _moving_during(others), not others
+    moving = _moving_during(others)
+    is_alone = not others
     if channel.noise > channel.resolution:
         found, held, level, worst = _stops_in_noise(channel, moving, is_alone)
     else:
@@ -683,8 +695,11 @@ def _stops_in_noise(
     channel: _Channel, moving: Moving, is_alone: bool
 ) -> tuple[list[Finding], np.ndarray, Level, Level]:
     """Return findings on clipping of a noisy channel, which runs are frozen, and the usual and the worst level of a finding on these."""
-    x, lengths, levels = channel.x, channel.lengths, channel.levels
-    n, per_noise = len(x), channel.resolution / channel.noise
+    x = channel.x
+    lengths = channel.lengths
+    levels = channel.levels
+    n = len(x)
+    per_noise = channel.resolution / channel.noise
     # probability that two samples are equal
     equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, per_noise / 2.5), 1 / n)
     # n equal^(least - 1) < 1e-4
@@ -715,7 +730,9 @@ def _dead_stops(
 ) -> tuple[list[Finding], np.ndarray, Level, Level]:
     """Return findings on dead stops at the ends of a channel without noise, which runs are frozen, and the usual and the worst level of a
     finding on these."""
-    x, starts, lengths = channel.x, channel.starts, channel.lengths
+    x = channel.x
+    starts = channel.starts
+    lengths = channel.lengths
     # last step, compared with the curvature just before
     into = np.abs(np.diff(x, prepend=x[0]))[starts]
     second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
@@ -770,8 +787,11 @@ def _check_spikes(channel: _Channel) -> list[Finding]:
     the 97 % quantile of all steps. (Friction makes an acceleration jump to and fro, but by no more than its
     other jumps.)
     """
-    x, quantity, time = channel.x, channel.quantity, channel.time
-    noise, resolution = channel.noise, channel.resolution
+    x = channel.x
+    quantity = channel.quantity
+    time = channel.time
+    noise = channel.noise
+    resolution = channel.resolution
     grain = max(3 * noise, resolution)
     is_command = channel.is_input and noise <= resolution
     n, around = len(x), 10
@@ -786,7 +806,8 @@ def _check_spikes(channel: _Channel) -> list[Finding]:
     for width in (1,) if is_sudden else (1, 2, 3):
         s = np.arange(around + 1, n - width - around)
         local = np.maximum(largest[s - 1 - around], largest[s + width])
-        before, change = x[s - 1], x[s + width] - x[s - 1]
+        before = x[s - 1]
+        change = x[s + width] - x[s - 1]
         inside = np.arange(width)[:, None]
         off = x[s + inside] - before - change * (inside + 1) / (width + 1)
         is_one_side = np.abs(np.sign(off).sum(axis=0)) == width

@@ -179,7 +179,8 @@ def read_table(
         MissingColumn: A wanted channel is missing.
     """
     path = Path(path)
-    rename, units = dict(rename or {}), dict(units or {})
+    rename = dict(rename or {})
+    units = dict(units or {})
     inverse = {channel: name for name, channel in rename.items()}
     if len(inverse) < len(rename):
         raise InputError(f"{path}: two columns are renamed to one channel")

@@ -386,7 +386,8 @@ def _cell_by_cell(
                 f"{path}: line {number} has {len(row)} fields, the header has {width}"
             )
         for i in used:
-            name, value = names[i], number_in(row[i], comma)
+            name = names[i]
+            value = number_in(row[i], comma)
             if value is not None:
                 columns[name].append(value)
                 marks[name].add(k, row[i], comma)
@@ -522,7 +523,9 @@ def read_text(
 
 
 def _columns(path: Path, text: _Text, wanted: Choice, time: str) -> Columns:
-    names, units, rows = text.names, text.units, text.rows
+    names = text.names
+    units = text.units
+    rows = text.rows
     delimiter, comma, width = like = text.like
     if count := len(text.tables()):
         raise SideBySide(

@@ -323,7 +323,8 @@ def odd_scale(raster: Raster, facts: Facts, quantity: str) -> list[Oddity]:
     # invalid stamps have no step
     step = raster.step if raster.step > 0 else math.inf
     spread, speed = (factor * v for v in spread_and_speed(x, step, quantity))
-    big, small = spread > doubtful or speed > MAX_SPEED, spread < 2 * least
+    big = spread > doubtful or speed > MAX_SPEED
+    small = spread < 2 * least
     if not big and not small:
         return []
     wanted = [

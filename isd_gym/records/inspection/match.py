@@ -147,7 +147,9 @@ def suggest(
     Raises:
         InputError: A known column has the unit of another quantity than its channel.
     """
-    out, given, signs = Suggestion(), dict(given or {}), dict(signs or {})
+    out = Suggestion()
+    given = dict(given or {})
+    signs = dict(signs or {})
     wanted = [*network.inputs, *network.outputs]
     live = [f for f in facts if not f.constant and f.samples - f.missing > 63]
     if len(live) > COLUMNS:
@@ -310,10 +312,8 @@ def _window(files: Sequence[Sequence[Raster]], live: Sequence[Facts]) -> Window 
         good[i, k] = r
     if not good:
         return None
-    start, stop = (
-        max(r.time[0] for r in good.values()),
-        min(r.time[-1] for r in good.values()),
-    )
+    start = max(r.time[0] for r in good.values())
+    stop = min(r.time[-1] for r in good.values())
     step = min(r.step for r in good.values())
     if stop - start < 64 * step:
         return None
@@ -478,10 +478,12 @@ def _compared(
     f, x = by_name.facts, window.values[k]
     lag = min(int(window.lag / window.step), len(x) // 4)
     skip = len(x) // 8  # start-up from rest
-    a, b = said[skip:] - said[skip:].mean(), x[skip:] - x[skip:].mean()
+    a = said[skip:] - said[skip:].mean()
+    b = x[skip:] - x[skip:].mean()
     r = correlate(b, a, mode="full", method="fft")[len(a) - 1 - lag : len(a) + lag]
     r = r / (len(a) * max(a.std() * b.std(), 1e-300))
-    follows, against = min(float(r.max()), 1.0), min(float(-r.min()), 1.0)
+    follows = min(float(r.max()), 1.0)
+    against = min(float(-r.min()), 1.0)
     strength = max(follows, against)
     is_turned = against > CLEAR > follows
     sign = signs.get(c.name, -1 if is_turned else 1)

@@ -96,7 +96,8 @@ def alike(column: str, channel: Channel, network: Network) -> float:
     """
     if column.strip().lower() == channel.name.lower():
         return 5.0
-    own, theirs = tokens(column), channel_words(channel, network)
+    own = tokens(column)
+    theirs = channel_words(channel, network)
     score = sum(2.0 * worth * theirs[w] for w, worth in own.items() if w in theirs)
     quantities = {"acceleration", "velocity", "displacement", "force", "current"}
     score -= sum(

@@ -55,7 +55,8 @@ def inputs_of(
     if not own:
         raise InputError(f"{recording.name}: no inputs to simulate for")
     base = min(own, key=lambda s: s.step)
-    start, stop = max(s.time[0] for s in own), min(s.time[-1] for s in own)
+    start = max(s.time[0] for s in own)
+    stop = min(s.time[-1] for s in own)
     if even(base.time):
         keep = base.time[(base.time >= start - 1e-9) & (base.time <= stop + 1e-9)]
         time = keep[0] + base.step * np.arange(len(keep))

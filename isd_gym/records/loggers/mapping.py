@@ -86,7 +86,8 @@ class ChannelMap:
         check(data, SCHEMA, source)
         loggers = []
         for row in data.get("loggers", ()):
-            stamps, lag = row.get("stamps", {}), row.get("lag")
+            stamps = row.get("stamps", {})
+            lag = row.get("lag")
             loggers.append(
                 Logger(
                     row.get("file", ""),
@@ -107,7 +108,8 @@ class ChannelMap:
                     raise InputError(
                         f"{source}: channel {shown(name)}: {error}"
                     ) from None
-            number, sign = int(row.get("logger", 1)), int(row.get("sign", 1))
+            number = int(row.get("logger", 1))
+            sign = int(row.get("sign", 1))
             channels[name] = Column(
                 row["column"], number, unit, sign, row.get("sure"), row.get("why", "")
             )
@@ -416,7 +418,8 @@ def _find(
     if own or len(holders) == 1:
         return source.column, (own or holders)[0]
     names = [n for group in found for r in group for n in r.columns]
-    told, helps = JOIN.join(map(str, files)), did_you_mean(source.column, names)
+    told = JOIN.join(map(str, files))
+    helps = did_you_mean(source.column, names)
     if by.source == "by name":
         raise InputError(
             f"{told}: no column {shown(source.column)}; {helps} (name the column with --map FILE or --rename COLUMN={channel.name}; "

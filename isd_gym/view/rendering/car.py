@@ -105,13 +105,11 @@ class CarScene:
         self.words: Words = ""
         if len(snapshot.corners) == 1:
             self.words = "all" if roomy else "nodes"
-        self.canvas, self.shot, self.left, self.width, self.colour = (
-            canvas,
-            snapshot,
-            left,
-            width,
-            colour,
-        )
+        self.canvas = canvas
+        self.shot = snapshot
+        self.left = left
+        self.width = width
+        self.colour = colour
         self.u = canvas.unit
         self.height = canvas.frame.get_height()
         self._lay_out()
@@ -119,7 +117,8 @@ class CarScene:
             corner: self._road_under(corner) for corner in snapshot.corners
         }
         base = float(np.mean(list(self.contacts.values())))
-        window, step = self.views[0].window, snapshot.road_step
+        window = self.views[0].window
+        step = snapshot.road_step
         behind = snapshot.road_behind - max(corner.x for corner in snapshot.corners)
         self.roads = [
             window.heights(profile, step, behind) for profile in snapshot.road_profiles
@@ -253,10 +252,8 @@ class CarScene:
             )
             travelled = None
         else:
-            heights, travelled = (
-                self.roads[self._track(corners[0])],
-                shot.speed * shot.time,
-            )
+            heights = self.roads[self._track(corners[0])]
+            travelled = shot.speed * shot.time
         y = self.floor - (heights - self.lift) * self.scale
         ground(self.canvas, window, y, travelled, self.u, is_behind=is_behind)
 
@@ -297,7 +294,8 @@ class CarScene:
             np.mean([view.along(corner.x, corner.y) for corner in view.near])
         )
         for corner in view.near:
-            x, hub = view.place(corner), self._hub(corner)
+            x = view.place(corner)
+            hub = self._hub(corner)
             carrier = hub - wheel.RADIUS * self.wheel_unit - CARRIER * self.unit
             if not view.is_rear:
                 turn = shot.speed * shot.time / wheel.METRES
@@ -415,10 +413,8 @@ class CarScene:
         for name, (x, y) in sorted(
             self.shot.points.items(), key=lambda item: view.along(*item[1])
         ):
-            words, at = (
-                name.replace("_", " "),
-                window.origin + view.along(x, y) * self.metre,
-            )
+            words = name.replace("_", " ")
+            at = window.origin + view.along(x, y) * self.metre
             half = 3 * len(words) * self.u
             if at - half > taken and at + half < window.right:
                 height = self._down(
@@ -428,7 +424,8 @@ class CarScene:
 
     def _tyre_loads(self, view: View) -> None:
         """Name and tyre load of each corner below its wheel, where wheels are not too close."""
-        upper, lower = self.height - 42 * self.u, self.height - 29 * self.u
+        upper = self.height - 42 * self.u
+        lower = self.height - 29 * self.u
         names = [(corner, corner.name.replace("_", " ")) for corner in view.near]
         kind = "dynamic tyre load " if len(self.shot.corners) == 1 else ""
         loads = [

@@ -75,13 +75,11 @@ class Suspension:
         is_rear: bool = False,
     ) -> None:
         """Store position and size of the suspension."""
-        self.canvas, self.corner, self.x, self.u, self.scale = (
-            canvas,
-            corner,
-            x,
-            unit,
-            scale,
-        )
+        self.canvas = canvas
+        self.corner = corner
+        self.x = x
+        self.u = unit
+        self.scale = scale
         self.words, self.is_rear = words, is_rear
 
     @property
@@ -122,7 +120,10 @@ class Suspension:
 
     def _device(self, seat: float, joint: float) -> None:
         """Draw oil spring, main cylinder (rod: piston, barrel: joint), and the motor's cylinder at its side."""
-        c, u, x, corner = self.canvas, self.u, self.x, self.corner
+        c = self.canvas
+        u = self.u
+        x = self.x
+        corner = self.corner
         travel = corner.device_travel
         assert travel is not None
         node = joint - DEVICE * u - travel * self.scale
@@ -169,7 +170,10 @@ class Suspension:
         Oil that the rising piston displaces at the top moves the mover to the right, so that extension is to
         the right; the ends of the cylinder are the end stop (paper, Table 1).
         """
-        c, u, x, corner = self.canvas, self.u, self.x, self.corner
+        c = self.canvas
+        u = self.u
+        x = self.x
+        corner = self.corner
         left, width, high = x + 24 * u, 68 * u, 19 * u
         middle = top + bore / 2
         pipe = 3.5 * u
@@ -190,10 +194,8 @@ class Suspension:
         share = travel / (limit or CYLINDER)
         touching = limit is not None and abs(share) > 0.985
         if corner.current_limit is not None:
-            colour, force = (
-                self._current_colour(),
-                min(1.0, abs(corner.current) / corner.current_limit),
-            )
+            colour = self._current_colour()
+            force = min(1.0, abs(corner.current) / corner.current_limit)
             winding = mix(PALE, colour, 0.15 + 0.85 * force if force else 0.0)
             for k in range(5):
                 place = left + 13 * u + k * 9 * u
@@ -237,7 +239,8 @@ class Suspension:
         if (
             limit is not None
         ):  # gauge: position of the mover between the stops, as travel of the device
-            reach, y = width / 2 - 4 * u - mover / 2, top + bore + 16 * u
+            reach = width / 2 - 4 * u - mover / 2
+            y = top + bore + 16 * u
             dial = left + width / 2
             c.rect(MUTED, dial - reach, y - 0.4 * u, 2 * reach, 0.8 * u)
             for place in (-reach, 0.0, reach):
@@ -282,6 +285,7 @@ class Suspension:
             return
         length = (6 + 24 * share) * u
         for side in (-1, 1):
-            near, far = middle + side * 4 * u, middle + side * (4 * u + length)
+            near = middle + side * 4 * u
+            far = middle + side * (4 * u + length)
             tail, head = (far, near) if corner.current > 0 else (near, far)
             arrow(c, self._current_colour(), x, tail, head, (3 + 3 * share) * u)

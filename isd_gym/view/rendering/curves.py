@@ -101,7 +101,8 @@ def plot(
     )
     left, top = x0 + 26 * u, y0 + 14 * u
     right, bottom = x1, y1
-    middle, unit_height = (top + bottom) / 2, (bottom - top) / 2 / 3.0
+    middle = (top + bottom) / 2
+    unit_height = (bottom - top) / 2 / 3.0
     c.rect((247, 248, 249), left, top, right - left, bottom - top)
     for tick in (-2, 0, 2):
         y = middle - tick * unit_height

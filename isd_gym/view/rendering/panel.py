@@ -26,11 +26,9 @@ class Panel:
         self, canvas: Canvas, left: float, right: float, height: float, cars: int
     ) -> None:
         """Use the right part of the picture."""
-        self.canvas, self.x0, self.x1 = (
-            canvas,
-            left + 14 * canvas.unit,
-            right - 14 * canvas.unit,
-        )
+        self.canvas = canvas
+        self.x0 = left + 14 * canvas.unit
+        self.x1 = right - 14 * canvas.unit
         self.height = height
         self._histories = [History() for _ in range(cars)]
         self._scales: dict[str, Scale] = {}
@@ -42,7 +40,10 @@ class Panel:
 
     def paint(self, shots: Sequence[CarSnapshot]) -> None:
         """Draw the panel."""
-        c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
+        c = self.canvas
+        u = self.canvas.unit
+        x0 = self.x0
+        x1 = self.x1
         first = shots[0]
         c.text(
             f"{number(first.time, 2, sign=False)} s", x0, 18 * u, size=13, face="Bold"
@@ -73,7 +74,10 @@ class Panel:
         )
 
     def _one_car(self, shot: CarSnapshot, y: float) -> float:
-        c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
+        c = self.canvas
+        u = self.canvas.unit
+        x0 = self.x0
+        x1 = self.x1
         c.text(
             "Motor current" if len(shot.corners) == 1 else "Motor currents",
             x0,
@@ -107,7 +111,10 @@ class Panel:
         return y + 26 * u
 
     def _two_cars(self, shots: Sequence[CarSnapshot], y: float) -> float:
-        c, u, x0, x1 = self.canvas, self.canvas.unit, self.x0, self.x1
+        c = self.canvas
+        u = self.canvas.unit
+        x0 = self.x0
+        x1 = self.x1
         for shot, colour in zip(shots, CAR_COLOURS, strict=True):
             c.rect(colour, x0, y - 4.5 * u, 9 * u, 9 * u, radius=2 * u)
             width = 0.0
@@ -138,7 +145,8 @@ def _currents(
     for corner in corners:
         left = x0 + sides.index(corner.y) * (width + gap)
         top = y + axles.index(corner.x) * CELL * u
-        words, colour = f"{number(corner.current, 2)} A", INK
+        words = f"{number(corner.current, 2)} A"
+        colour = INK
         if corner.current_limit is None:
             words, colour = "no motor", MUTED
         taken = c.text(

@@ -44,13 +44,11 @@ class Renderer:
         cars: int = 1,
         fps: float = 50.0,
     ) -> None:
-        self.mode, self.width, self.height, self.cars, self.fps = (
-            mode,
-            width,
-            height,
-            cars,
-            fps,
-        )
+        self.mode = mode
+        self.width = width
+        self.height = height
+        self.cars = cars
+        self.fps = fps
         self.closed = False
         self._now = self._painted = -math.inf  # simulated time [s]
         self._pg = pygame()
@@ -124,7 +122,8 @@ class Renderer:
         self._factor = 0  # index into EXAGGERATION
 
     def _paint_backdrop(self) -> None:
-        canvas, width = self._canvas, self._scene_width * self.cars
+        canvas = self._canvas
+        width = self._scene_width * self.cars
         for y in range(2 * self.height):
             canvas.row(
                 y, 2 * width, mix(SKY_TOP, SKY_LOW, min(1.0, y / (1.6 * self.height)))

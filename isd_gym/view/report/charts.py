@@ -275,13 +275,16 @@ def _draw_line(ax: Axes, item: Line, axis: Axis) -> None:
 
 def _thinned(line: Line, axis: Axis) -> tuple[Array, Array]:
     """Return the visible part of a curve; a curve of many samples is reduced to its extremes in `COLUMNS` columns."""
-    x, y = np.asarray(line.x, float), np.asarray(line.y, float)
+    x = np.asarray(line.x, float)
+    y = np.asarray(line.y, float)
     if len(x) < 2 or not (np.diff(x) > 0).all():  # a loop
         return x, y
     low = x[0] if axis.low is None else axis.low
     high = x[-1] if axis.high is None else axis.high
-    first, last = np.searchsorted(x, low), np.searchsorted(x, high, side="right")
-    x, y = x[max(first - 1, 0) : last + 1], y[max(first - 1, 0) : last + 1]
+    first = np.searchsorted(x, low)
+    last = np.searchsorted(x, high, side="right")
+    x = x[max(first - 1, 0) : last + 1]
+    y = y[max(first - 1, 0) : last + 1]
     each = len(x) // COLUMNS
     if each < 3:
         return x, y
@@ -298,7 +301,8 @@ def _thinned(line: Line, axis: Axis) -> tuple[Array, Array]:
 
 
 def _draw_marks(ax: Axes, item: Marks) -> None:
-    x, y = np.asarray(item.x, float), np.asarray(item.y, float)
+    x = np.asarray(item.x, float)
+    y = np.asarray(item.y, float)
     for spans, other, flat in ((item.x_interval, y, True), (item.y_interval, x, False)):
         if spans is None:
             continue

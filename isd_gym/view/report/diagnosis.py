@@ -372,7 +372,9 @@ class View:
     def quantity(self, q: Any) -> str:
         """Return a value with a practical unit, such as ``296.6 N``, with the digits that its interval warrants."""
         factor, unit = practical(q.value, q.unit)
-        value, low, high = factor * q.value, factor * q.low, factor * q.high
+        value = factor * q.value
+        low = factor * q.low
+        high = factor * q.high
         return f"{_digits(value, low, high)}\u00a0{unit_text(unit)}".strip()
 
     @staticmethod
@@ -662,7 +664,8 @@ def draw_loops(view: View) -> Chart | None:
 def _cycles(loops: Loops, stretch: slice, step: float) -> slice:
     """Return some periods of the motion in the middle of a stretch of the record."""
     period = 2 * math.pi * pace(loops.measured.rate, step) / step
-    count, whole = len(loops.measured.travel), stretch.stop - stretch.start
+    count = len(loops.measured.travel)
+    whole = stretch.stop - stretch.start
     width = min(count, max(10, min(whole, round(PERIODS * period))))
     start = (stretch.start + stretch.stop - width) // 2
     start = min(max(start, 0), count - width)
@@ -732,7 +735,8 @@ def draw_spectra(view: View) -> Chart | None:
         ]
         top = float(p[keep].max())
         least = min(float(y[keep].min()) for _, y, _ in curves[1:])
-        low, high = max(0.5 * least, 1e-8 * top), 3 * max(top, float(old[keep].max()))
+        low = max(0.5 * least, 1e-8 * top)
+        high = 3 * max(top, float(old[keep].max()))
         items += [
             Span(max(place.band_hz[0], float(f[keep][0])), place.band_hz[1])
             for place in view.d.where
@@ -786,7 +790,8 @@ def draw_law(view: View) -> Chart | None:
         count, edges = np.histogram(
             factor * law.visited, bins=40, range=(float(x[0]), float(x[-1]))
         )
-        least, most = float(np.min(law.low)), float(np.max(law.high))
+        least = float(np.min(law.low))
+        most = float(np.max(law.high))
         room = 0.05 * (most - least) or 1.0
         low, high = least - room, most + room
         index = np.clip(np.digitize(x, edges) - 1, 0, len(count) - 1)

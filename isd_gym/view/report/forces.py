@@ -112,9 +112,13 @@ def laws_of(d: Diagnosis, trace: Trace) -> list[Law]:
             travel, rate = _motion(d.model, trace, t.between)
         except (InputError, np.linalg.LinAlgError):
             return out
-        kind, axis, visited = "travel", np.array(t.elongation), travel
+        kind = "travel"
+        axis = np.array(t.elongation)
+        visited = travel
         if t.over == "rate":
-            kind, axis, visited = "rate", np.array(t.rate), rate
+            kind = "rate"
+            axis = np.array(t.rate)
+            visited = rate
         out.append(Law(t.element, kind, axis, t.force, t.low, t.high, visited))
     return out
 

@@ -104,7 +104,8 @@ def _styles(count: int) -> Iterator[Look]:
     """Yield the style of the reference of a comparison, then that of each other series."""
     yield Look(BLACK, (0, (1.2, 1.2)), "s", 1.2)
     for i in range(count):
-        colour, line = COLOURS[i % len(COLOURS)], LINES[i % len(LINES)]
+        colour = COLOURS[i % len(COLOURS)]
+        line = LINES[i % len(LINES)]
         yield Look(colour, line, MARKERS[i % len(MARKERS)], 1.4)
 
 
@@ -345,7 +346,8 @@ def density(
 
     length = min(len(signal), round(window / step))
     f, p = welch(signal, 1.0 / step, nperseg=length, axis=0, detrend="constant")
-    f, p = f[1:], (p.mean(axis=1) if p.ndim > 1 else p)[1:]
+    f = f[1:]
+    p = (p.mean(axis=1) if p.ndim > 1 else p)[1:]
     # with twelve points per octave, each point averages more lines and scatters less
     index = np.floor(12 * np.log2(f / f[0]) + 1e-6).astype(int)
     count = np.bincount(index)

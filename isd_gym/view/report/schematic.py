@@ -126,7 +126,8 @@ class Drawing:
 
     def svg(self, *, inline: bool = False) -> str:
         """Return the drawing as SVG."""
-        wide, tall = self.right - self.left + 2 * MARGIN, self.foot + MARGIN
+        wide = self.right - self.left + 2 * MARGIN
+        tall = self.foot + MARGIN
         marks = (
             f'<g data-part="{escape(name)}">{"".join(m)}</g>'
             for name, m in self.parts.items()
@@ -303,7 +304,8 @@ class _Layout:
         bottoms = (
             list(dict.fromkeys([bottom, *moved])) if self.network.bodies else [bottom]
         )
-        far, ring = dict.fromkeys(bottoms, 0), set(bottoms)
+        far = dict.fromkeys(bottoms, 0)
+        ring = set(bottoms)
         for distance in range(1, len(near)):
             ring = {m for n in ring for m in near[n]} - set(far)
             far |= dict.fromkeys(sorted(ring), distance)
@@ -419,7 +421,8 @@ class _Sheet:
     """The drawing of a layout, group by group from the left."""
 
     def __init__(self, network: Network, found: Iterable[str]) -> None:
-        self.network, self.labels = network, _Labels(network, found)
+        self.network = network
+        self.labels = _Labels(network, found)
         self.layout = layout = _Layout(network, self.labels)
         title = (
             f"{network.name}: {network.description}"
@@ -458,16 +461,17 @@ class _Sheet:
         return y, y + BOX * (node in self.layout.masses)
 
     def draw_element(self, name: str) -> None:
-        layout, out, e = self.layout, self.out, self.layout.elements[name]
+        layout = self.layout
+        out = self.out
+        e = self.layout.elements[name]
         upper, lower = sorted(layout.ends[name], key=layout.row.__getitem__)
-        top, bottom = self.edges(upper)[1], self.edges(lower)[0]
+        top = self.edges(upper)[1]
+        bottom = self.edges(lower)[0]
         bottom = max(bottom, top + TALL)  # both ends may have one row
-        x, y, part, colour = (
-            layout.x[name],
-            0.5 * (top + bottom),
-            f"el:{name}",
-            self.labels.colour(name),
-        )
+        x = layout.x[name]
+        y = 0.5 * (top + bottom)
+        part = f"el:{name}"
+        colour = self.labels.colour(name)
         out.line(part, (x, top), (x, y - HALF), colour)
         out.line(part, (x, y + HALF), (x, bottom), colour)
         kind = e.type if isinstance(e, el.Element) else "lever"
@@ -501,7 +505,9 @@ class _Sheet:
                 self.draw_distance(c)
 
     def draw_node(self, node: str) -> None:
-        layout, out, part = self.layout, self.out, f"node:{node}"
+        layout = self.layout
+        out = self.out
+        part = f"node:{node}"
         xs, (top, bottom) = layout.at(node), self.edges(node)
         left, right = min(xs) - 12, max(xs) + 12
         if node == layout.top and node in layout.masses:
@@ -554,7 +560,9 @@ class _Sheet:
     def draw_signal(self, c: Channel) -> None:
         """Draw an input or an output of one node; of moved nodes, the arrow has two heads."""
         node = self.layout.home.get(str(c.at), str(c.at))
-        part, text, colour = f"ch:{c.name}", f"{_channel(c)} in", BLUE
+        part = f"ch:{c.name}"
+        text = f"{_channel(c)} in"
+        colour = BLUE
         if c in self.network.outputs:
             text, colour = self.labels.output(c)
         is_moved = c in self.network.inputs and c.quantity in MOVES

@@ -203,7 +203,8 @@ def histories(shown: Shown) -> Chart:
     """Return the chart of four seconds around the reference's worst moment: the best policy in a median episode, and in the hardest."""
     base = shown.runs[shown.reference]
     order = np.argsort(shown.costs[shown.reference])
-    middle, hardest = int(order[len(order) // 2]), int(order[-1])
+    middle = int(order[len(order) // 2])
+    hardest = int(order[-1])
     steps = len(base.body_acceleration)
     width = min(steps, round(4.0 / shown.step))
     few, left_out = shown.few(1)
@@ -220,7 +221,8 @@ def histories(shown: Shown) -> Chart:
         loads = [np.abs(load[:, episode]) for load in base.of("tyre_load")]
         peak = int(np.argmax(np.max(loads, axis=0)))
         first = max(0, min(peak - width // 2, steps - width))
-        begin, end = float(time[first]), float(time[first]) + width * shown.step
+        begin = float(time[first])
+        end = float(time[first]) + width * shown.step
         window = Axis("time", "s", low=begin, high=end)
         out = []
         for key in moved:
@@ -316,8 +318,10 @@ def spectra(shown: Shown) -> Chart | None:
             lines.append(Line(name, f[keep], p[keep], shown.looks[name]))
             ratios.append(Line(name, f[keep], (p / base)[keep], shown.looks[name]))
         seen = np.concatenate([i.y for i in lines])
-        least, most = base[keep & (f < 25.0)].min(), seen.max()
-        low, high = max(0.5 * least, 1e-6 * most), 2 * most
+        least = base[keep & (f < 25.0)].min()
+        most = seen.max()
+        low = max(0.5 * least, 1e-6 * most)
+        high = 2 * most
         title = SIGNALS[key][0]
         extra: tuple[Item, ...] = ()
         if key == "body_acceleration":  # drawn from the axis to a decade above
@@ -354,7 +358,8 @@ def spectra(shown: Shown) -> Chart | None:
 def trade_off(shown: Shown) -> Chart:
     """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
     marks = [*_policy_marks(shown), *_optimum_marks(shown)]
-    xs, ys = [0.0, *(m.x[0] for m in marks)], [0.0, *(m.y[0] for m in marks)]
+    xs = [0.0, *(m.x[0] for m in marks)]
+    ys = [0.0, *(m.y[0] for m in marks)]
     from ...benchmark.ceilings import fronts
 
     curves = fronts(shown.score)
@@ -366,8 +371,10 @@ def trade_off(shown: Shown) -> Chart:
                 label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, dashes, "", 1.1)
             )
         )
-    left, right = min(-22.0, min(xs) - 6), max(6.0, max(xs) + 6)
-    bottom, top = min(-26.0, min(ys) - 4), max(5.0, max(ys) + 5)
+    left = min(-22.0, min(xs) - 6)
+    right = max(6.0, max(xs) + 6)
+    bottom = min(-26.0, min(ys) - 4)
+    top = max(5.0, max(ys) + 5)
     panel = Panel(
         Axis(
             f"change of suspension travel against {shown.reference}",
@@ -405,7 +412,8 @@ def _policy_marks(shown: Shown) -> list[Marks]:
     """Return the points of the policies of a score, with intervals."""
     marks = []
     for name in shown.names:
-        look, row = shown.looks[name], shown.rows.get(name)
+        look = shown.looks[name]
+        row = shown.rows.get(name)
         if row is None or name == shown.reference:
             marks.append(_mark(name, 0.0, 0.0, None, look))
             continue

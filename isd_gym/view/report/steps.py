@@ -115,7 +115,8 @@ def _share(left: Array, force: Array) -> float:
 
 def _force(view: View, missing: Missing, kind: str) -> Panel:
     """Return the panel of the missing force, sample by sample, with its curve."""
-    turns, force = view.turns(missing.pair), missing.curve.force
+    turns = view.turns(missing.pair)
+    force = missing.curve.force
     factor, axis = law_axis(kind, turns)
     x = factor * getattr(missing.curve, kind)
     middle, (low, median, high) = trend(x, force, (BAND[0], 0.5, BAND[1]))
@@ -143,7 +144,9 @@ def _force(view: View, missing: Missing, kind: str) -> Panel:
 
 def _laws(view: View, missing: Missing, kind: str) -> Iterator[Line]:
     """Yield the curve of each candidate at the place of the missing force."""
-    trace, pair, curve = view.trace, missing.pair, missing.curve
+    trace = view.trace
+    pair = missing.pair
+    curve = missing.curve
     assert trace is not None
     factor, _ = law_axis(kind, view.turns(pair))
     step = float(trace.time[1] - trace.time[0])
