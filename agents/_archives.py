@@ -504,9 +504,8 @@ def convert(
         extractor = str(given.get("features_extractor_class", "FlattenExtractor"))
         if "FlattenExtractor" not in extractor:
             raise InputError(f"features extractor {shown(extractor)} is not supported")
-        bound = (
-            BOUND if memory.scale else math.inf
-        )  # the environment clips its histories
+        # the environment clips its histories
+        bound = BOUND if memory.scale else math.inf
         mean, scale, clip = (
             read_normalize(normalize) if normalize else (None, None, math.inf)
         )
@@ -515,10 +514,11 @@ def convert(
             and scale is not None
             and len(mean) * memory.frames == seen["_shape"][0]
         ):
+            # normalised, then stacked
             mean, scale = (
                 np.tile(mean, memory.frames),
                 np.tile(scale, memory.frames),
-            )  # normalised, then stacked
+            )
         return build(
             state,
             activation=activation,

@@ -47,29 +47,23 @@ class Filter:
     B: tuple[tuple[float, ...], ...]  # response to the currents (n, currents)
     G: tuple[tuple[float, ...], ...]  # response to the frictions (n, frictions)
     S: tuple[tuple[float, ...], ...]  # rates of the frictions (frictions, n)
-    K: tuple[
-        tuple[float, ...], ...
-    ]  # rates of the frictions per friction (frictions, frictions)
-    C: tuple[
-        tuple[float, ...], ...
-    ]  # output matrix of the first signals y (signals, n)
-    D: tuple[
-        tuple[float, ...], ...
-    ]  # response of the signals to the currents (signals, currents)
-    F: tuple[
-        tuple[float, ...], ...
-    ]  # response of the signals to the frictions (signals, frictions)
+    # rates of the frictions per friction (frictions, frictions)
+    K: tuple[tuple[float, ...], ...]
+    # output matrix of the first signals y (signals, n)
+    C: tuple[tuple[float, ...], ...]
+    # response of the signals to the currents (signals, currents)
+    D: tuple[tuple[float, ...], ...]
+    # response of the signals to the frictions (signals, frictions)
+    F: tuple[tuple[float, ...], ...]
     L: tuple[tuple[float, ...], ...]  # gain of the filter (n, signals)
     law: tuple[tuple[float, ...], ...]  # currents by the state (currents, n)
-    rate: tuple[
-        tuple[float, ...], ...
-    ]  # rates in the friction compensation by the state (currents, n)
+    # rates in the friction compensation by the state (currents, n)
+    rate: tuple[tuple[float, ...], ...]
     force: tuple[float, ...]  # friction over thrust constant (currents,) [A]
     slew: float = 0.5  # scale of the law's features [A]
     reach: float = 2.0  # bound of the law's features [-]
-    current: int = (
-        5  # index of the first present current among the signals; the others follow
-    )
+    # index of the first present current among the signals; the others follow
+    current: int = 5
     #: change of z per known rise of the road by 1 m over the last step (n, roads); empty without a known road
     road: tuple[tuple[float, ...], ...] = ()
     #: currents per rise of the road in the next steps (currents, points) [A/m], road after road
@@ -266,9 +260,8 @@ def _made(kind: type[Any], data: Mapping[str, Any] | None) -> Any:
 class Memory(History):
     """Definition of the features of observations: a history, the road ahead, and an estimate."""
 
-    filter: Filter | None = (
-        None  # estimate among the features; None without an estimate
-    )
+    # estimate among the features; None without an estimate
+    filter: Filter | None = None
     #: number of heights of the road ahead after the signals in an observation, one per control step
     ahead: int = 0
     #: scale of the rises of the road ahead [m]; RMS of the paper's road over a control step by default

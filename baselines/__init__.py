@@ -22,9 +22,8 @@ from isd_gym.physics.vehicle import require_quarter_car, vehicle
 from ._semiactive import Clipped, controlled_damper
 from .controller import BatchController
 
-if (
-    __name__ != "isd_gym.baselines"
-):  # a second copy, found in the source tree, would have classes of its own
+# a second copy, found in the source tree, would have classes of its own
+if __name__ != "isd_gym.baselines":
     raise ImportError("the package is imported as isd_gym.baselines, not baselines")
 
 _PREVIEW = 0.25  # default preview of the controllers with preview [s]

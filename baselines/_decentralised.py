@@ -122,12 +122,10 @@ class Previewing(Decentralised):
     def _start(self, count: int) -> None:
         super()._start(count)
         if hasattr(self, "_tracks"):
-            self._met = np.zeros(
-                (count, self._tracks, self._kept)
-            )  # heights met by the first axle, newest last [m]
-            self._next = np.zeros(
-                (count, self._tracks)
-            )  # rise of the next control step [m]
+            # heights met by the first axle, newest last [m]
+            self._met = np.zeros((count, self._tracks, self._kept))
+            # rise of the next control step [m]
+            self._next = np.zeros((count, self._tracks))
 
     def observed(self, observations: np.ndarray) -> list[np.ndarray]:
         """Return the local observations of the corners, each with the road ahead of its wheel."""
@@ -137,9 +135,8 @@ class Previewing(Decentralised):
         now = self._met[:, :, -1:] + self._next[:, :, None]
         self._met = np.concatenate([self._met[:, :, 1:], now], axis=2)
         self._next = np.clip(ahead[:, :, 0], -STEEPEST, STEEPEST)
-        profile = np.concatenate(
-            [self._met, now + ahead], axis=2
-        )  # of each track, over time
+        # of each track, over time
+        profile = np.concatenate([self._met, now + ahead], axis=2)
         out = []
         for own, (track, delay) in zip(
             super().observed(observations), self._wheels, strict=True

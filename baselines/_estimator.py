@@ -51,9 +51,8 @@ class Estimator:
         )
         self.levels = model.levels()
         self._dry = model.friction
-        self._implicit = (
-            model.S @ model.G + model.SF
-        )  # rate of a law at the end of the step per force
+        # rate of a law at the end of the step per force
+        self._implicit = model.S @ model.G + model.SF
         self.reset(1)
 
     def reset(self, count: int) -> None:

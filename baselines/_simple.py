@@ -38,15 +38,13 @@ class Strut:
     spring: float  # stiffness of the main spring, between body and wheel [N/m]
     beside: float  # damping between body and wheel that is not parallel to the motor [N s/m]
     thrust: float = 0.0  # thrust constant at the terminals [N/A]; 0 without a motor
-    stiffness: float = (
-        0.0  # stiffness parallel to the motor, without the main spring [N/m]
-    )
+    # stiffness parallel to the motor, without the main spring [N/m]
+    stiffness: float = 0.0
     damping: float = 0.0  # damping parallel to the motor [N s/m]
     inertance: float = 0.0  # inertance parallel to the motor [kg]
     friction: float = 0.0  # friction parallel to the motor [N]
-    series: float = (
-        np.inf
-    )  # damping in series with the motor [N s/m]; infinite without a damper
+    # damping in series with the motor [N s/m]; infinite without a damper
+    series: float = np.inf
 
     @classmethod
     def of(cls, network: Network) -> Strut:
@@ -117,9 +115,8 @@ class ForceControl(DesignedController[StrutSettings]):
             return np.zeros(obs.shape[1])
         wanted = self.force(acceleration, rate) - s.beside * rate
         goal = rate - wanted / s.series
-        if np.isfinite(
-            s.series
-        ):  # the damper in series sets the force, and the motor the rate of the device
+        # the damper in series sets the force, and the motor the rate of the device
+        if np.isfinite(s.series):
             carried = -s.body_mass * acceleration - s.spring * travel - s.beside * rate
         else:
             carried = wanted

@@ -234,9 +234,8 @@ def clean(
         broken = ~np.isfinite(obs)
         obs[broken] = 0.0
         obs[currents] = np.where(broken[currents], last, obs[currents])
-    signals = obs[
-        : len(bounds)
-    ]  # minimum and maximum: np.clip takes several times as long for a single car
+    # minimum and maximum: np.clip takes several times as long for a single car
+    signals = obs[: len(bounds)]
     np.minimum(np.maximum(signals, -bounds, out=signals), bounds, out=signals)
     return obs
 

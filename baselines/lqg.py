@@ -35,21 +35,17 @@ class LawSettings:
     tyre_load: float = 0.0  # weight of the tyre load [-]
     centring: float = 0.03  # weight of the device's travel over its stop [-]
     compensation: float = 1.0  # compensated share of the friction [-]
-    lead: float = (
-        0.01  # time ahead for which the law is evaluated, since the drive slews [s]
-    )
-    foresight: float = (
-        0.025  # time ahead for which the sign of the device's rate is evaluated [s]
-    )
+    # time ahead for which the law is evaluated, since the drive slews [s]
+    lead: float = 0.01
+    # time ahead for which the sign of the device's rate is evaluated [s]
+    foresight: float = 0.025
     width: float = 0.02  # rate below which the sign is smoothed [m/s]
-    friction_noise: float = (
-        300.0  # standard deviation of the estimator's friction per step [N]
-    )
+    # standard deviation of the estimator's friction per step [N]
+    friction_noise: float = 300.0
     #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = (
-        ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
-    )
+    # two-sided intensity of the road's velocity [m^2/s]
+    road_intensity: float = ROAD_INTENSITY
 
 
 @dataclass(frozen=True)
@@ -121,9 +117,8 @@ class Lqg(DesignedController[LqgSettings]):
             return self.law(self.estimator.update(obs))
         last = self._rises[0]
         seen = np.nan_to_num(rises(obs, self._points), nan=0.0, posinf=0.0, neginf=0.0)
-        self._rises = np.clip(
-            seen, -STEEPEST, STEEPEST
-        )  # an invalid sensor value is limited
+        # an invalid sensor value is limited
+        self._rises = np.clip(seen, -STEEPEST, STEEPEST)
         return self.law(self.estimator.update(obs, last), self._rises)
 
     def law(self, x: np.ndarray, ahead: np.ndarray | None = None) -> np.ndarray:

@@ -67,17 +67,15 @@ class MpcSettings:
     #: damper along the last plan, whose rates are known in advance, averaged over the effect of the road
     friction: str = "planned"
     spread: float = 1.0  # factor on the effect of the road in 'planned' [-]
-    friction_noise: float = (
-        300.0  # standard deviation of the estimator's friction per step [N]
-    )
+    # standard deviation of the estimator's friction per step [N]
+    friction_noise: float = 300.0
     #: class of the quadratic program (`_qp.Program`); other solvers are compared in
     #: `docs/explanation/baselines.md`
     solver: Callable[[np.ndarray, np.ndarray], Program] = Osqp
     #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = (
-        ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
-    )
+    # two-sided intensity of the road's velocity [m^2/s]
+    road_intensity: float = ROAD_INTENSITY
 
     def __post_init__(self) -> None:
         if (
@@ -196,9 +194,8 @@ class Mpc(DesignedController[MpcSettings]):
         self._inverse = np.linalg.inv(self._P)
         ends = np.cumsum(s.moves) - 1
         self._rows = np.vstack([np.eye(pieces), self._currents[ends]])
-        self._high = np.repeat(
-            [self.slew, CURRENT_LIMIT], pieces
-        )  # without the present current, the second half
+        # without the present current, the second half
+        self._high = np.repeat([self.slew, CURRENT_LIMIT], pieces)
         self._low = -self._high
         # one solver per car, created on demand: it starts from its last solution
         self._programs: dict[int, Program] = defaultdict(

@@ -78,9 +78,8 @@ class SeveralValuesCommand(FiniteCommand):
             name, joined, _ = arg.partition("=")
             if arg.startswith("-"):
                 option = name if name in several else ""
-                fresh = (
-                    bool(option) and not joined
-                )  # the first value follows the option as typed
+                # the first value follows the option as typed
+                fresh = bool(option) and not joined
             elif option:
                 if not fresh:
                     out.append(option)

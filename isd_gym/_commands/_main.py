@@ -84,9 +84,8 @@ def _broken(error: OSError) -> int:
         typer.echo(
             f"isd-gym: {plain(f'{error.strerror or error}{name}', 400)}", err=True
         )
-    os.dup2(
-        os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-    )  # the reader of stdout has gone
+    # the reader of stdout has gone
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 1
 
 

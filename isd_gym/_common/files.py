@@ -112,17 +112,15 @@ def whole_folder(
         with writing(path, shop):
             made.mkdir()
             yield made
-        check_folder(
-            path, kind, mark, parts
-        )  # the folder may have changed during a long computation
+        # the folder may have changed during a long computation
+        check_folder(path, kind, mark, parts)
         try:
             if not path.exists():
                 os.replace(made, path)
             elif not _exchange(made, path):
                 (shop / _EARLIER).mkdir()
-                os.replace(
-                    path, shop / _EARLIER / path.name
-                )  # `_clear` restores the earlier folder after a kill at this point
+                # `_clear` restores the earlier folder after a kill at this point
+                os.replace(path, shop / _EARLIER / path.name)
                 try:
                     os.replace(made, path)
                 except OSError:
@@ -298,10 +296,11 @@ def _exchange(one: Path, other: Path) -> bool:
         return False
     first = os.fsencode(one.absolute())
     second = os.fsencode(other.absolute())
+    # RENAME_EXCHANGE, RENAME_SWAP; AT_FDCWD
     swap, here = (
         ctypes.c_uint(2),
         ctypes.c_int(-100),
-    )  # RENAME_EXCHANGE, RENAME_SWAP; AT_FDCWD
+    )
     return (
         call(*((here, first, here, second, swap) if at else (first, second, swap))) == 0
     )

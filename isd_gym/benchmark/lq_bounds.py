@@ -195,9 +195,8 @@ def linear_car(
     G = seen.T @ G
     C = ss.C @ seen
     n = len(A)
-    if (
-        ground.cutoff > 0
-    ):  # coloured road: the height of the road is an additional state
+    # coloured road: the height of the road is an additional state
+    if ground.cutoff > 0:
         pole = 2 * math.pi * ground.cutoff * speed
         A = np.block([[A, -pole * G[:, None]], [np.zeros((1, n)), np.array([[-pole]])]])
         B = np.vstack([B, [[0.0]]])

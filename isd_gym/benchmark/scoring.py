@@ -40,12 +40,13 @@ __all__ = [
 
 SCHEMA = "isd-score/1"
 _RESISTANCE = 3.8  # Ohm, Table 1
+# Table 5
 LIMITS = {
     "body_acceleration": 5.0,
     "suspension_travel": 0.08,
     "current": 5.0,
     "current_change": 0.5,
-}  # Table 5
+}
 _RESAMPLES = 4000
 _TIMED = 1500  # number of decisions of a batched policy that are repeated one at a time to measure the time
 #: Tables 7 and 8: passive, active RMS of acceleration [m/s^2], travel [m], tyre load [N]

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
 
 #: size of a picture [px] by number of cars
 SIZE = {1: (960, 600), 2: (1200, 640)}
+# of two cars with a left and a right track, which have two views each
 WIDE = (
     1400,
     600,
-)  # of two cars with a left and a right track, which have two views each
+)
 FPS = 50.0  # frames of a film per second
 
 

@@ -220,10 +220,11 @@ class ISDSuspensionEnv(_KnowsItsLength, gym.Env):
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self.render_mode = render_mode
+        # one picture per step: real time
         self.metadata = {
             **self.metadata,
             "render_fps": max(1, round(1 / self.task.decision)),
-        }  # one picture per step: real time
+        }
         self._renderer: Renderer | None = None
         self._ready = False
         self._steps = 0
@@ -470,9 +471,8 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         InputError: An argument or option is invalid.
     """
 
-    _renderers: Sequence[
-        Renderer
-    ] = ()  # Gymnasium closes an environment whose arguments were refused
+    # Gymnasium closes an environment whose arguments were refused
+    _renderers: Sequence[Renderer] = ()
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"] if _can_draw() else [],
         "render_fps": 200,
@@ -664,9 +664,8 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         batch = self.task.batch
         judged = batch.judged.copy()
         drawn = [values.copy() for values in batch.drawn.values()]
-        masks = np.ones(
-            (len(self._info_names) // 2, self.num_envs), bool
-        )  # every car has every number
+        # every car has every number
+        masks = np.ones((len(self._info_names) // 2, self.num_envs), bool)
         values = (batch.speeds.copy(), -judged[0], *judged[1:], *drawn, *masks)
         return dict(zip(self._info_names, values, strict=True))
 
@@ -724,9 +723,8 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
             terminated[revived] = False
             reward[revived] = 0.0
         info = self._info()
-        for i in (
-            np.flatnonzero(self.steps) if self._onlookers else ()
-        ):  # except for cars that have just restarted
+        # except for cars that have just restarted
+        for i in np.flatnonzero(self.steps) if self._onlookers else ():
             self._onlookers[i].see(int(self.steps[i]), -float(info["cost"][i]))
         if self._oldest >= self.max_episode_steps or (
             batch.broken and terminated.any()

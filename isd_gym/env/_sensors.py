@@ -48,12 +48,10 @@ class Sensors:
     noise: float | tuple[float, float] = 0.0
     delay: int = 0  # delay of the measured signals [control steps]
     road_error: float = 0.0  # standard deviation of the white error of each height of the road ahead [m]
-    road_lag: float = (
-        0.0  # age of the picture of the road [s], which is not compensated
-    )
-    road_range: float = (
-        math.inf
-    )  # range of the road sensor [m]; beyond, the road appears level
+    # age of the picture of the road [s], which is not compensated
+    road_lag: float = 0.0
+    # range of the road sensor [m]; beyond, the road appears level
+    road_range: float = math.inf
 
     def __post_init__(self) -> None:
         noise = self.noise

@@ -154,10 +154,11 @@ def history_of(car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> History
     travels = [i for i, kind in enumerate(kinds) if kind == "suspension_travel"]
     rates = [i for i, kind in enumerate(kinds) if kind == "suspension_travel_rate"]
     wheels, late = car.wheels, []
+    # with the middle time constant
     body = [
         *range(axes),
         *(3 * n + len(LEAKS) * axis + 1 for axis in range(axes)),
-    ]  # with the middle time constant
+    ]
     for follower, distance in enumerate(wheels.behind):
         if distance:
             track = [

@@ -38,14 +38,14 @@ SCALES = (1e-6, 1e6)  # factors on the reward
 PREVIEW = 0.25  # s, with observation preview
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
-PICTURE_WINDOW = (
-    5.5  # road before the foremost and behind the rearmost wheel in a picture [m]
-)
+# road before the foremost and behind the rearmost wheel in a picture [m]
+PICTURE_WINDOW = 5.5
+# in the order of `layout`: MEASURED, WHOLE, AHEAD
 SHOWN = (
     "measured",
     "full",
     "preview",
-)  # in the order of `layout`: MEASURED, WHOLE, AHEAD
+)
 OBSERVATIONS = (*SHOWN, "history")
 EXCEEDS = ("exceeds_acceleration", "exceeds_travel")
 USUAL_SPEED = 20.0  # m/s
@@ -442,9 +442,8 @@ class Task:
                 )
                 np.add(batch.target, batch.currents, out=batch.target)
             elif self.options.action == "share":
-                np.multiply(
-                    self.actions, CURRENT_LIMIT, out=batch.target
-                )  # which the kernel limits
+                # which the kernel limits
+                np.multiply(self.actions, CURRENT_LIMIT, out=batch.target)
             batch.step()
             results = batch.results
             earned = earned + results[self.reward_row, : batch.count]
@@ -504,9 +503,8 @@ class Task:
         step = self.batch.control_step
         for e in self._channel_faults:
             j = names.index(e.where[0])
-            if isinstance(
-                e, el.SensorDelay
-            ):  # the same as `apply` for a record, one sample at a time
+            # the same as `apply` for a record, one sample at a time
+            if isinstance(e, el.SensorDelay):
                 low = int(e.delay / step)
                 part = e.delay / step % 1.0
                 past = self._histories.setdefault(
@@ -608,9 +606,8 @@ class Task:
             past[:, i] = 0.0
         if self.options.per_level:
             level = float(self.batch.levels[i])
-            self._weights[i] = (
-                self._usual / level if level > 0.0 else 1.0
-            )  # a bump has weight 1
+            # a bump has weight 1
+            self._weights[i] = self._usual / level if level > 0.0 else 1.0
 
 
 def usual_level(batch: Batch) -> float:

@@ -34,9 +34,8 @@ class Balance:
     """
 
     laws: Sequence[el.Element]  # the laws
-    by_elongation: (
-        Array  # elongation of each law per force of each law (laws, laws) [m/N]
-    )
+    # elongation of each law per force of each law (laws, laws) [m/N]
+    by_elongation: Array
     by_rate: Array  # rate of each law per force of each law (laws, laws) [m/(N s)]
     step: float  # physics step [s]
 

@@ -116,9 +116,8 @@ class Batch:
         self._ints = np.concatenate([plant.ints, self._tables()])
         self._setup = self._ints[len(plant.ints) :]
         self._states = aligned(self.groups, plant.at.height, WIDTH)
-        wide = (
-            self.groups * WIDTH
-        )  # rows hold whole groups of cars; cars beyond `count` stand still
+        # rows hold whole groups of cars; cars beyond `count` stand still
+        wide = self.groups * WIDTH
         self._cars = aligned(of.outputs + len(self.channels), wide)
         self._ways = np.zeros((of.counter + of.tracks, wide), np.int64)
         steps_late = self._set_drives()
@@ -258,9 +257,8 @@ class Batch:
             (*arguments, aligned(TOGETHER, inputs, WIDTH).ravel(), begin, stop)
             for begin, stop in zip(ends[:-1], ends[1:], strict=True)
         ]
-        self._crew: tuple[int, ThreadPoolExecutor] | None = (
-            None  # process and its threads
-        )
+        # process and its threads
+        self._crew: tuple[int, ThreadPoolExecutor] | None = None
         of = self.of
         self.cars, self.out = self._cars[:, :count], self._cars[of.outputs :, :count]
         self._setup = self._ints[len(self.plant.ints) :]
@@ -540,9 +538,8 @@ class Batch:
         if len(self._calls) == 1:
             self.broken = drive(*self._calls[0])
         else:
-            if (
-                self._crew is None or self._crew[0] != os.getpid()
-            ):  # threads do not survive a fork
+            # threads do not survive a fork
+            if self._crew is None or self._crew[0] != os.getpid():
                 self._crew = os.getpid(), ThreadPoolExecutor(len(self._calls) - 1)
             others = [self._crew[1].submit(drive, *call) for call in self._calls[1:]]
             self.broken = drive(*self._calls[0]) + sum(

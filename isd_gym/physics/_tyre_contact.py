@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from .vehicle import Vehicle
 
 LARGEST_SHARE = 0.01  # of the time with a pulling tyre, above which a warning is given
-FREQUENCIES = np.geomspace(
-    0.1, 100.0, 60
-)  # of the tyre load [Hz]; wheel hop is near 11 Hz
+# of the tyre load [Hz]; wheel hop is near 11 Hz
+FREQUENCIES = np.geomspace(0.1, 100.0, 60)
 
 
 def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:

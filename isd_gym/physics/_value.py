@@ -147,9 +147,8 @@ def _value_of(text: str, cost: StageCost, step: float, speed: float) -> Value:
             F.T @ M @ F - across.T @ np.linalg.solve(move + b.T @ M @ b, across)
         )
     device = model.rows("device_travel")
-    M = (
-        V + stage - signals[device].T @ (weights[device, None] * signals[device])
-    )  # the cost has no such weight
+    # the cost has no such weight
+    M = V + stage - signals[device].T @ (weights[device, None] * signals[device])
     fine = car_model(
         network, PHYSICS_STEP, speed, damping=damping, road_intensity=intensity
     )

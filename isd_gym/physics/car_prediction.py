@@ -79,31 +79,27 @@ class CarModel(WholeCar):
 
     car: Vehicle  # car
     step: float  # control step [s]
-    A: (
-        np.ndarray
-    )  # system matrix (n, n) of the state: motion of the car, then the delay line [m]
+    # system matrix (n, n) of the state: motion of the car, then the delay line [m]
+    A: np.ndarray
     inputs: np.ndarray  # effect (n, currents) of the currents [A], held over the step
     G: np.ndarray  # effect (n, laws) of the forces [N] of the laws that are kept apart (friction, stops)
     gamma: np.ndarray  # effect (n, tracks) of the next rise of each track [m]
     #: covariance (n, n) of the state per step: of these rises, and of the road between the samples
     W: np.ndarray
     C: np.ndarray  # channels of the car (channels, n): `Vehicle.channels`
-    feedthrough: (
-        np.ndarray
-    )  # effect (channels, currents) of the currents on the channels
+    # effect (channels, currents) of the currents on the channels
+    feedthrough: np.ndarray
     F: np.ndarray  # effect (channels, laws) of the forces on the channels
     S: np.ndarray  # rates (laws, n) of the laws
     SF: np.ndarray  # effect (laws, laws) of the forces on these rates
     laws: tuple[el.Element, ...]  # laws that are kept apart
     motion: int  # number of states of the car's motion; the delay line follows
-    delays: (
-        np.ndarray
-    )  # delay of each corner behind the foremost wheel of its track [steps]
+    # delay of each corner behind the foremost wheel of its track [steps]
+    delays: np.ndarray
     #: height of each corner over the foremost wheel of its track, by the delay line (corners, line)
     heights: np.ndarray
-    rises: (
-        np.ndarray
-    )  # rise of each corner over the next step, by the delay line (corners, line)
+    # rise of each corner over the next step, by the delay line (corners, line)
+    rises: np.ndarray
     lift: np.ndarray  # shift of the motion when a track rises by 1 m (motion, tracks)
     drifts: np.ndarray  # states (n, motions) of a car whose body moves at constant speed, each wheel with it
     road_intensity: float  # two-sided intensity of the road's velocity [m^2/s]
@@ -181,15 +177,13 @@ class _Line:
 
     #: height of each corner over the foremost wheel of its track, by the line (corners, states)
     heights: np.ndarray
-    rises: (
-        np.ndarray
-    )  # rise of each corner over the next step, by the line (corners, states)
+    # rise of each corner over the next step, by the line (corners, states)
+    rises: np.ndarray
     #: rise of each corner over the next step, by the next rise of each track (corners, tracks)
     new: np.ndarray
     shift: np.ndarray  # the line one step later (states, states)
-    entry: (
-        np.ndarray
-    )  # state in which the next rise of each track enters (states, tracks)
+    # state in which the next rise of each track enters (states, tracks)
+    entry: np.ndarray
 
     @classmethod
     def of(cls, delays: np.ndarray, tracks: list[int]) -> _Line:
@@ -265,9 +259,8 @@ def car_model(
     n = len(parts.rate)
     size = n + corners
     A, inputs, white = continuous(car, parts)
-    for t, c in enumerate(
-        leader
-    ):  # motion above the leaders' roads, and heights of the corners over their leaders
+    # motion above the leaders' roads, and heights of the corners over their leaders
+    for t, c in enumerate(leader):
         white[:n, c] -= T[:, t]
         white[n:, c] -= [float(track == t) for track in tracks]
     last = size + inputs.shape[1]

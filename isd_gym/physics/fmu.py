@@ -71,9 +71,8 @@ class Running:
         self.moved = {c.name for c in network.moving}
         self.commands: dict[str, deque[float]] = {}
         self.readings: dict[str, deque[float]] = {}
-        self.last: dict[
-            str, list[float]
-        ] = {}  # last three values [SI] of each input, newest first
+        # last three values [SI] of each input, newest first
+        self.last: dict[str, list[float]] = {}
         self.slope: dict[str, float] = {}
         self.outputs: dict[str, float] = {}
         self.raw: np.ndarray | None = None
@@ -437,9 +436,8 @@ def export_fmu(
         )
         paths = list(sys.path)
         try:
-            with writing(
-                folder, tempfile.gettempdir()
-            ):  # PythonFMU has a folder of its own there
+            # PythonFMU has a folder of its own there
+            with writing(folder, tempfile.gettempdir()):
                 script.write_text(text, encoding="utf-8")
                 made = FmuBuilder.build_FMU(script, dest=folder)
         finally:

@@ -437,9 +437,8 @@ def preview_regulator(
     K, V = regulator(model, weights)
     q = weights.signals[:, None]
     Mxx = V + model.C.T @ (q * model.C)
-    across = model.B @ Mxx + model.D @ (
-        q * model.C
-    )  # slope by the current due to a change of the next state
+    # slope by the current due to a change of the next state
+    across = model.B @ Mxx + model.D @ (q * model.C)
     size = across @ model.B + model.B @ (model.C.T @ (q[:, 0] * model.D))
     size += model.D @ (q[:, 0] * model.D) + weights.current
     loop = model.A - np.outer(model.B, K)

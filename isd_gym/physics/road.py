@@ -141,9 +141,10 @@ class Road:
         Returns:
             Gain [m] and pole [-].
         """
+        # two-sided
         intensity = (
             (2 * math.pi) ** 2 * 0.5 * self.roughness * REFERENCE_FREQUENCY**2 * speed
-        )  # two-sided
+        )
         rate = 2 * math.pi * self.cutoff * speed
         if rate == 0.0:
             return math.sqrt(intensity * step), 1.0

@@ -56,9 +56,8 @@ class _Discrete:
     """
 
     blocks: tuple[np.ndarray, ...]  # matrices A, U0, U1, B, G0 and G1
-    outputs: tuple[
-        np.ndarray, ...
-    ]  # matrices of the outputs, for x, u, c and the forces of the laws
+    # matrices of the outputs, for x, u, c and the forces of the laws
+    outputs: tuple[np.ndarray, ...]
     #: elongations [m/N] and rates [m/(s N)] of the laws per force, in the order of the kernel
     yields: tuple[np.ndarray, np.ndarray]
     numbers: np.ndarray  # pool of numbers, without the laws' parameters if each lane has its own (`layout`)
@@ -513,9 +512,8 @@ class Plant:
         self.order = first.order
         if several:
             self.mats = aligned(self.groups, at.size, WIDTH)
-            self.mats[:] = parts[0].numbers[
-                :, None
-            ]  # unused lanes need valid numbers, too
+            # unused lanes need valid numbers, too
+            self.mats[:] = parts[0].numbers[:, None]
             for lane, part in enumerate(parts):
                 self.place(self.mats, lane, part)
         else:
@@ -601,9 +599,8 @@ class Plant:
         # most lanes differ in the parameters of laws alone, many of them only in the initial state
         rows: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         balances: dict[tuple[int, int], Balance] = {}
-        solved: dict[
-            tuple[int, int, bytes, bytes], int
-        ] = {}  # lane with the same balance
+        # lane with the same balance
+        solved: dict[tuple[int, int, bytes, bytes], int] = {}
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
             if id(asm.rate) not in rows:

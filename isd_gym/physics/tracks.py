@@ -178,9 +178,8 @@ class WheelPositions:
     """
 
     x: tuple[float, ...]  # distance of each wheel in front of the centre of gravity [m]
-    y: tuple[
-        float, ...
-    ]  # distance of each wheel to the left of the centre of gravity [m]
+    # distance of each wheel to the left of the centre of gravity [m]
+    y: tuple[float, ...]
 
     def __post_init__(self) -> None:
         """Check the positions."""

@@ -21,9 +21,8 @@ from .tracks import WheelPositions
 
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_RATE = 100.0  # A/s: 0.5 A per control step of 5 ms, Table 5
-SLEW_LIMIT = (
-    SLEW_RATE * 5e-3
-)  # A, largest change of a current in a control step of 5 ms
+# A, largest change of a current in a control step of 5 ms
+SLEW_LIMIT = SLEW_RATE * 5e-3
 GRAVITY = 9.81  # m/s^2
 AXES = ("pitch", "roll")
 ROAD = "road_"  # prefix of the road inputs of cars with several corners
@@ -45,9 +44,8 @@ class Corner:
     name: str  # name such as 'front' or 'rear_left'; '' in a quarter car
     body: str  # node of the body above the suspension
     wheel: str  # node of the wheel
-    device: tuple[
-        str, str
-    ]  # nodes of the motor; body and wheel in a corner without a motor
+    # nodes of the motor; body and wheel in a corner without a motor
+    device: tuple[str, str]
     road: str  # node that the road moves
     road_input: str  # name of the road input
     motor: str | None  # name of the motor; None without a motor
@@ -66,9 +64,8 @@ class Vehicle:
 
     network: Network  # the network
     body: str  # node of the body, at its centre of gravity
-    angles: dict[
-        str, str
-    ]  # node of the body's angle by axis of rotation, 'pitch' before 'roll'
+    # node of the body's angle by axis of rotation, 'pitch' before 'roll'
+    angles: dict[str, str]
     corners: tuple[Corner, ...]  # corners in the order of the road inputs
 
     @property
@@ -415,9 +412,8 @@ def require_quarter_car(network: Network, what: str) -> None:
 
 def state_channels(network: Network) -> list[Channel]:
     """Return displacement and velocity of every free node, for the full observation and for pictures."""
-    points = {
-        p.name for body in network.bodies for p in body.points
-    }  # points follow the body
+    # points follow the body
+    points = {p.name for body in network.bodies for p in body.points}
     out = []
     for node in network.nodes:
         if node not in points and node not in network.moved_nodes:

@@ -451,10 +451,11 @@ def draw(given: Any) -> list[Condition]:
             raise InputError(f"random: '{key}' must be a list of names, at least one")
     if "count" not in given or not (ranges or choices):
         raise InputError("random: it needs a count, and ranges or choices to draw from")
+    # point 0 is the corner of all lower ends
     count, first = (
         given["count"],
         given.get("first", 1),
-    )  # point 0 is the corner of all lower ends
+    )
     points = qmc.Halton(len(ranges) + len(choices), scramble=False)
     points.fast_forward(first) if first else None
     made = []

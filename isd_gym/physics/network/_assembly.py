@@ -49,27 +49,22 @@ class Assembly:
 
     network: Network  # the model
     channels: tuple[Channel, ...]  # channels of the outputs
-    size: tuple[
-        int, int, int, int, int
-    ]  # numbers of states, moved nodes, force inputs, currents and laws
+    # numbers of states, moved nodes, force inputs, currents and laws
+    size: tuple[int, int, int, int, int]
     laws: tuple[el.Element, ...]  # elements with a law
     rate: np.ndarray  # time derivative of the states, rows (states, columns)
     elongation: np.ndarray  # elongation of each law [m], rows (laws, columns)
-    elongation_rate: (
-        np.ndarray
-    )  # rate of elongation of each law [m/s], rows (laws, columns)
+    # rate of elongation of each law [m/s], rows (laws, columns)
+    elongation_rate: np.ndarray
     #: whether each law acts on an algebraic node, whose velocity is the difference of its positions
     by_difference: tuple[bool, ...]
     outputs: np.ndarray  # rows (channels, columns)
-    outputs_by_difference: tuple[
-        bool, ...
-    ]  # whether each output is on an algebraic node
-    position: (
-        np.ndarray
-    )  # positions of the nodes, moved nodes last, rows (nodes, columns)
-    velocity: (
-        np.ndarray
-    )  # velocities of the nodes, moved nodes last, rows (nodes, columns)
+    # whether each output is on an algebraic node
+    outputs_by_difference: tuple[bool, ...]
+    # positions of the nodes, moved nodes last, rows (nodes, columns)
+    position: np.ndarray
+    # velocities of the nodes, moved nodes last, rows (nodes, columns)
+    velocity: np.ndarray
 
     def columns(self, part: str) -> slice:
         """Return the columns of a part of the base vector.
@@ -275,9 +270,8 @@ TOO_FAR_APART = "the model's parameters differ by too many orders of magnitude: 
 
 NO_MASS = 1e-10  # share of the largest singular value below which a direction carries no momentum or damping
 NO_SHARE = 1e-9  # share of a direction in a row below which the direction is rounding
-ROUNDING = (
-    1e-12  # share of the largest number of its kind below which a number has cancelled
-)
+# share of the largest number of its kind below which a number has cancelled
+ROUNDING = 1e-12
 NO_HOLD = 1e-12  # share of the largest stiffness below which a stiffness holds nothing
 UPRIGHT = 0.3  # share of the largest node of a space from which a node is a direction of the basis
 
@@ -361,9 +355,8 @@ def _values(elements: Sequence[el.Element], name: str) -> np.ndarray:
 class _Ties:
     """Matrices (networks, free, moved) that tie free nodes to moved nodes, including nodes seen from a frame (`frames`)."""
 
-    frame: (
-        np.ndarray
-    )  # 1 for a free node seen from the frame of a moved node (free, moved)
+    # 1 for a free node seen from the frame of a moved node (free, moved)
+    frame: np.ndarray
     inertia: np.ndarray
     momentum: np.ndarray  # the inertia, for moved nodes of known velocity
     damping: np.ndarray

@@ -26,14 +26,12 @@ NOTHING = 1e-12  # share of the largest coefficient of a constraint below which 
 class Coordinates:
     """Coordinates in the order of all matrices (free, then moved), and nodes as rows over the coordinates."""
 
-    nodes: tuple[
-        str, ...
-    ]  # all nodes of the network except the ground, in the order of `Network.nodes`
+    # all nodes of the network except the ground, in the order of `Network.nodes`
+    nodes: tuple[str, ...]
     free: tuple[str, ...]  # coordinates that no input moves
     moved: tuple[str, ...]  # nodes that inputs move
-    dependent: dict[
-        str, np.ndarray
-    ]  # row over the coordinates of every node that is not a coordinate
+    # row over the coordinates of every node that is not a coordinate
+    dependent: dict[str, np.ndarray]
 
     @property
     def count(self) -> int:

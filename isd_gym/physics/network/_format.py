@@ -51,9 +51,8 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
         builtin = resources.files("isd_gym.physics") / "networks" / f"{text_name}.json"
         data = parse_json(builtin.read_bytes(), where)
     else:
-        if not os.path.exists(
-            source
-        ):  # an existence test covers impossible file names, too
+        # an existence test covers impossible file names, too
+        if not os.path.exists(source):
             near = get_close_matches(text_name[:200], known, 1)
             asked = f" (did you mean '{near[0]}'?)" if near else ""
             raise InputError(

@@ -121,12 +121,10 @@ class Network:
     """
 
     name: str  # name, for people
-    masses: Mapping[
-        str, float
-    ]  # mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`
-    elements: tuple[
-        el.Element, ...
-    ]  # two-terminal elements, and effects at motors and channels
+    # mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`
+    masses: Mapping[str, float]
+    # two-terminal elements, and effects at motors and channels
+    elements: tuple[el.Element, ...]
     inputs: tuple[Channel, ...] = ()  # input channels
     outputs: tuple[Channel, ...] = ()  # output channels
     #: relative standard deviation by parameter path; parameters without an entry are known

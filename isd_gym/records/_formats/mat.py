@@ -63,9 +63,8 @@ def read(path, wanted, axis, limit):
     def take(items, depth=0):
         for name, value in items:
             value = np.asarray(value)
-            if (
-                value.dtype.names and value.ndim == 0 and depth < 8
-            ):  # a struct: the fields are channels
+            # a struct: the fields are channels
+            if value.dtype.names and value.ndim == 0 and depth < 8:
                 fields = {n: value[n].item() for n in value.dtype.names}
                 if name == "units":
                     units.update({n: str(u)[:200] for n, u in fields.items()})

@@ -133,9 +133,8 @@ def read(
     """
     global _helper
     module = import_module(reader)
-    if (
-        sys.modules.get(module.LIBRARIES[0], 0) is None
-    ):  # this process treats the library as not installed
+    # this process treats the library as not installed
+    if sys.modules.get(module.LIBRARIES[0], 0) is None:
         raise InputError(
             f"{path}: reading {path.suffix} needs {module.LIBRARIES[0]}: {how_to_install(module.EXTRA)}"
         )

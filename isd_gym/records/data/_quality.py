@@ -38,9 +38,8 @@ class Finding:
     level: Level
     channel: str  # channel; '' for the whole record
     message: str  # one line
-    where: tuple[
-        Span, ...
-    ] = ()  # spans of time [s] of the defect, at most 20; empty for the whole record
+    # spans of time [s] of the defect, at most 20; empty for the whole record
+    where: tuple[Span, ...] = ()
     check: str = ""  # name of the check, of `CHECKS`
 
     def __str__(self) -> str:
@@ -87,10 +86,11 @@ STAIR = 5
 STILL = 0.1  # share of a channel's usual power, in spans of equal length, below which the channel rests
 GLITCHES = 3  # samples that may differ in a constant channel
 ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
+# factors between a channel and the model's output that a wrong unit causes
 SLIP = (
     600.0,
     1600.0,
-)  # factors between a channel and the model's output that a wrong unit causes
+)
 #: quantities of inputs that saturate and hold by design
 COMMANDED = ("current", "force", *CONDITIONS)
 #: names of the checks; an error may be accepted by the name of its check
@@ -107,15 +107,13 @@ MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels 
 class Scale:
     """Time constant and amplitudes of a rig, from its model."""
 
-    time: float = (
-        CAR  # reciprocal of the circular frequency of the slowest oscillation [s]
-    )
+    # reciprocal of the circular frequency of the slowest oscillation [s]
+    time: float = CAR
     #: time constant of the slowest oscillation or relaxation [s]; infinite if the rig only moves freely, NaN
     #: for that of the oscillation
     slowest: float = math.nan
-    period: float = (
-        math.inf
-    )  # period of the slowest oscillation [s]; infinite if unknown
+    # period of the slowest oscillation [s]; infinite if unknown
+    period: float = math.inf
     #: RMS about the mean of each output in a simulation of the record [SI]; empty if unknown
     spread: Mapping[str, float] = field(default_factory=dict)
 
@@ -403,9 +401,8 @@ def _check_time(time: np.ndarray) -> list[Finding]:
             Finding("error", TIME, f"{text}, where the step is {step:.4g} s", where)
         ]
     step = float(time[-1] - time[0]) / (len(time) - 1)
-    stray = (
-        float(np.ptp(time - step * np.arange(len(time)))) / 2
-    )  # deviation from the best uniform grid
+    # deviation from the best uniform grid
+    stray = float(np.ptp(time - step * np.arange(len(time)))) / 2
     # stamps with few digits deviate by half the last digit; the ends, and so the step, deviate as much
     digit = next(
         (
@@ -505,19 +502,16 @@ def _constant(x: np.ndarray, glitches: int = GLITCHES) -> float | None:
 
 def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
     """Return whether a channel holds more than noise: slow, or with a spectrum that is not flat, or coherent with an input."""
-    if np.std(np.diff(x)) < 0.9 * np.std(
-        x
-    ):  # white noise has sqrt(2), AR(1) noise of 0.6 still 0.89
+    # white noise has sqrt(2), AR(1) noise of 0.6 still 0.89
+    if np.std(np.diff(x)) < 0.9 * np.std(x):
         return True
-    if (
-        np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2
-    ):  # a train of impacts is white but not Gaussian
+    # a train of impacts is white but not Gaussian
+    if np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2:
         return True
     options: dict[str, Any] = {"nperseg": min(128, len(x) // 8), "detrend": "linear"}
     power = signal.welch(x, **options)[1][1:-1]
-    if np.exp(np.mean(np.log(power + 1e-300))) < 0.6 * np.mean(
-        power
-    ):  # white 1, AR(1) noise of 0.6 0.64
+    # white 1, AR(1) noise of 0.6 0.64
+    if np.exp(np.mean(np.log(power + 1e-300))) < 0.6 * np.mean(power):
         return True
     least = 0.05 + 3 * options["nperseg"] / len(x)
     drives = [u for u in drives if np.all(np.isfinite(u)) and np.ptp(u) > 0]
@@ -796,9 +790,8 @@ def _check_spikes(channel: _Channel) -> list[Finding]:
     is_command = channel.is_input and noise <= resolution
     n, around = len(x), 10
     d = np.abs(np.diff(x))
-    largest = sliding_window_view(d, around).max(
-        axis=1
-    )  # [i]: largest of d[i] ... d[i + 9]
+    # [i]: largest of d[i] ... d[i + 9]
+    largest = sliding_window_view(d, around).max(axis=1)
     usual = float(np.quantile(d, 0.97))
     flags = np.zeros(n, bool)
     # short pulses are plausible in a command, and in a force or an acceleration: an impact
@@ -824,9 +817,8 @@ def _check_spikes(channel: _Channel) -> list[Finding]:
     if quantity == "displacement":
         s = np.arange(around, n - 1 - around)
         local = np.maximum(largest[s - around], largest[s + 1])
-        at = s[
-            (d[s] > 5 * np.maximum(local, grain)) & (local > 0)
-        ]  # a commanded step has rest on both sides
+        # a commanded step has rest on both sides
+        at = s[(d[s] > 5 * np.maximum(local, grain)) & (local > 0)]
         if len(at):
             text = f"jumps by {d[at[0]]:.3g} m in one sample after t = {time[at[0]]:.6g} s: samples lost?"
             where = tuple((float(time[i]), float(time[i + 1])) for i in at[:20])

@@ -83,9 +83,8 @@ class _Marks:
     either: list[int] = field(default_factory=list)
     point: bool = False  # whether the column has another cell with a point, in a file with decimal commas
     decimal: bool = False  # whether the column has a cell with the decimal mark that has one meaning only
-    grouped: int = (
-        -1
-    )  # first row of a cell such as 1,234 with the decimal mark; -1 without one
+    # first row of a cell such as 1,234 with the decimal mark; -1 without one
+    grouped: int = -1
     large: bool = False  # whether the column has a whole number from 100 to 999
 
     def add(self, row: int, text: str, comma: bool) -> None:
@@ -177,9 +176,8 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
     (_, numbers), delimiter, comma, width = best
     if not numbers:
         last = [number_in(s.strip(), False) is not None for _, s in rows[-20:]]
-        if sum(last) > 0.5 * len(
-            last
-        ):  # a single column: the time of a rig without inputs and outputs
+        # a single column: the time of a rig without inputs and outputs
+        if sum(last) > 0.5 * len(last):
             return ",", False, 1
         tried = "separators tried: comma, semicolon, tab, blank"
         raise InputError(f"{path}: no columns of numbers found ({tried})")

@@ -34,9 +34,8 @@ PHYSICS = 9.0  # score of a perfect match with a simulation
 EXACT = 5.0  # score of a column's name that is the channel's
 CLEAR = 0.85  # correlation with the turned simulation above which a sensor is turned
 DOUBT = 0.7  # correlation above which the sign and the unit are questioned
-ALIKE = (
-    3.0  # ratio of measured and simulated amplitude above which the unit is questioned
-)
+# ratio of measured and simulated amplitude above which the unit is questioned
+ALIKE = 3.0
 FITS = 1.6  # the same ratio below which a unit fits
 
 

@@ -24,9 +24,8 @@ if TYPE_CHECKING:
     from ..loggers.mapping import ChannelMap
     from .match import Suggestion
 
-LAST_STAMP = (
-    253402300799.0  # end of the year 9999 [s since 1970]; later stamps are no dates
-)
+# end of the year 9999 [s since 1970]; later stamps are no dates
+LAST_STAMP = 253402300799.0
 
 
 @dataclass(frozen=True)

@@ -57,9 +57,8 @@ class Logger:
 
     file: str = ""  # name of its file, for people
     stamp: str | None = None  # column of the time stamps; None to detect the column
-    unit: str | None = (
-        None  # unit of the time stamps; None for the unit in the file, otherwise s
-    )
+    # unit of the time stamps; None for the unit in the file, otherwise s
+    unit: str | None = None
     lag: float | None = None  # delay of the time stamps [s]; None if unknown
     columns: tuple[str, ...] = ()  # names of the columns of a file without a header row
     #: sampling rate of a file without time stamps [Hz]; None for a file with time stamps
@@ -153,9 +152,8 @@ def files_of(text: str | Path) -> list[Path]:
 class _Named:
     """Columns of channels without a map."""
 
-    columns: Dict[
-        str, str
-    ]  # column by channel, for columns with another name than the channel
+    # column by channel, for columns with another name than the channel
+    columns: Dict[str, str]
     units: Dict[str, str]  # unit by channel or by column
     signs: Dict[str, int]  # factor 1 or -1 by channel or by column
 

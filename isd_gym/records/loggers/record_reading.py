@@ -94,9 +94,8 @@ def _check_used(
     rest = [name for name in given if name not in known]
     if not rest:
         return
-    with suppress(
-        InputError
-    ):  # an unreadable file is reported after the slip of the pen
+    # an unreadable file is reported after the slip of the pen
+    with suppress(InputError):
         known |= {
             r.stamp
             for f in files

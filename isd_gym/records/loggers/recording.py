@@ -41,13 +41,11 @@ class Raster:
     source: str  # the file
     time: np.ndarray  # time stamps (n,) [s]
     columns: Mapping[str, np.ndarray]  # samples (n,) by column
-    units: Mapping[str, str] = field(
-        default_factory=dict
-    )  # unit by column, for columns with a unit
+    # unit by column, for columns with a unit
+    units: Mapping[str, str] = field(default_factory=dict)
     stamp: str = "time"  # name of the column of time stamps
-    texts: Mapping[str, str] = field(
-        default_factory=dict
-    )  # first text among the numbers (NaN there), by column
+    # first text among the numbers (NaN there), by column
+    texts: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -225,9 +223,8 @@ def _without_repeats(raster: Raster, notes: list[str]) -> Raster:
         return raster.rows(keep)
     even = np.linspace(raster.time[0], raster.time[-1], len(raster))
     grain = float(np.min(d[d > 0])) if (d > 0).any() else 0.0
-    if (
-        np.abs(raster.time - even).max() <= 1.01 * grain
-    ):  # a clock coarser than the sampling
+    # a clock coarser than the sampling
+    if np.abs(raster.time - even).max() <= 1.01 * grain:
         notes.append(
             f"{where}: stamps of {grain:.3g} s for a step of {even[1] - even[0]:.3g} s; taken as evenly sampled"
         )

@@ -59,7 +59,6 @@ def pygame() -> Any:
     """Return the module pygame."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # pygame, where it stands in for pygame-ce, warns on import
+        # pygame, where it stands in for pygame-ce, warns on import
+        warnings.simplefilter("ignore")
         return extra("pygame", "drawing", "pygame-ce")

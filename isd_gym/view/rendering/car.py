@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from .snapshots import CarSnapshot, CornerSnapshot
 
 BEHIND, AHEAD, ASIDE = 1.3, 2.1, 0.65  # road beyond the outermost wheels [m]
+# overhang of the body beyond the outermost wheels [m]
 OVERHANG, OVERHANG_ASIDE = (
     1.05,
     0.25,
-)  # overhang of the body beyond the outermost wheels [m]
+)
 # Lengths in units of the layout (a pixel at 640x400), at static equilibrium.
 LARGEST_METRE = 90.0
 FLOOR = 66.0  # distance from the foot of the picture to the road
-CARRIER = (
-    9.0  # distance from the top of a tyre to its carrier, for a suspension of full size
-)
+# distance from the top of a tyre to its carrier, for a suspension of full size
+CARRIER = 9.0
 BAR, CABIN = 15.0, 40.0
 TOP = 44.0  # free height above the cabin
 SMALLEST_SUSPENSION = 0.25  # size relative to that of a quarter car

@@ -30,11 +30,12 @@ if TYPE_CHECKING:
 
 OIL_SPRING, DEVICE, DAMPER = 18.0, 73.0, 99.0
 LENGTH = OIL_SPRING + DEVICE + DAMPER
+# range of motion in each direction
 DEVICE_STROKE, DAMPER_STROKE, LONE_DAMPER_STROKE = (
     18.5,
     29.0,
     45.0,
-)  # range of motion in each direction
+)
 OIL_STROKE = 10.0
 #: extent of the suspension to the left and right of the wheel; the motor's cylinder is at the right
 LEFT, RIGHT = 73.0, 92.0
@@ -236,9 +237,8 @@ class Suspension:
             high - 4.4 * u,
             radius=1.5 * u,
         )
-        if (
-            limit is not None
-        ):  # gauge: position of the mover between the stops, as travel of the device
+        # gauge: position of the mover between the stops, as travel of the device
+        if limit is not None:
             reach = width / 2 - 4 * u - mover / 2
             y = top + bore + 16 * u
             dial = left + width / 2

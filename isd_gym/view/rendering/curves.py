@@ -119,9 +119,8 @@ def plot(
         )
     c.clip(left, top, right - left, bottom - top)
     now = max(rows[-1, 0] for rows in data)
-    for rows, colour, line in zip(
-        data, CAR_COLOURS, (1.9, 1.3), strict=False
-    ):  # the first curve is behind the second
+    # the first curve is behind the second
+    for rows, colour, line in zip(data, CAR_COLOURS, (1.9, 1.3), strict=False):
         if len(rows) > 1:
             x = right - (now - rows[:, 0]) / SECONDS * (right - left)
             y_values = middle - rows[:, column] / scale.unit * unit_height

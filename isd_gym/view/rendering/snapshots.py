@@ -52,21 +52,17 @@ class CornerSnapshot:
     y: float = 0.0  # distance to the left of the centre of gravity [m]
     body: float  # body above the suspension [m]
     wheel: float  # [m]
-    piston: float | None = (
-        None  # node between oil spring and inerter [m]; None: the model has none
-    )
-    joint: float | None = (
-        None  # node between inerter and damper [m]; None without a device
-    )
+    # node between oil spring and inerter [m]; None: the model has none
+    piston: float | None = None
+    # node between inerter and damper [m]; None without a device
+    joint: float | None = None
     current: float = 0.0  # [A]
     current_limit: float | None = None  # [A]; None without a motor
     tyre_load: float  # dynamic tyre load [N], in addition to the static load
-    static_tyre_load: float | None = (
-        None  # [N]; if given, an unloaded tyre is drawn above the road
-    )
-    device_travel_limit: float | None = (
-        None  # end stop of the device [m]; None without end stop
-    )
+    # [N]; if given, an unloaded tyre is drawn above the road
+    static_tyre_load: float | None = None
+    # end stop of the device [m]; None without end stop
+    device_travel_limit: float | None = None
 
     def __post_init__(self) -> None:
         _check_finite(

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 Ticks = tuple[tuple[float, str], ...]
 
 QUIET = Look(MUTED, "-", "", 0.9)
-COLUMNS = (
-    500  # columns in which a long curve is reduced to its extremes: about a pixel each
-)
+# columns in which a long curve is reduced to its extremes: about a pixel each
+COLUMNS = 500
 MOST_DOTS = 300  # largest cloud of separate shapes; a larger cloud is one image
 
 
@@ -38,9 +37,8 @@ class Axis:
     low: float | None = None  # lower end; None to fit the values
     high: float | None = None  # upper end; None to fit the values
     ticks: Ticks = ()  # positions and texts of the ticks; empty for automatic ticks
-    rows: tuple[
-        str, ...
-    ] = ()  # names of the integers from the top down, instead of numbers
+    # names of the integers from the top down, instead of numbers
+    rows: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
@@ -56,9 +54,8 @@ class Line:
     x: Array  # abscissae (n,)
     y: Array  # ordinates (n,)
     look: Look  # style
-    band: tuple[Array, Array] | None = (
-        None  # lower and upper ordinates (n,) of the band; None without a band
-    )
+    # lower and upper ordinates (n,) of the band; None without a band
+    band: tuple[Array, Array] | None = None
     band_name: str = "95 % interval"  # name of the band in the legend
     fill: bool = False  # whether the area down to the axis is filled
 

@@ -463,9 +463,8 @@ def _digits(value: float, low: float, high: float) -> str:
         return number(value, int(np.clip(np.floor(np.log10(size / half)) + 2, 2, 5)))
     first = math.floor(math.log10(size))
     places = min(max(1 - math.floor(math.log10(half)), 3 - first), 5 - first)
-    if (
-        low < value < high and value != 0.0
-    ):  # a value within a wide interval must not vanish: 14.66 is not 0
+    # a value within a wide interval must not vanish: 14.66 is not 0
+    if low < value < high and value != 0.0:
         places = max(places, 1 - math.floor(math.log10(abs(value))))
     return f"{round(value, places) + 0.0:.{max(0, places)}f}".replace("-", "−")
 

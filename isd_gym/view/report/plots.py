@@ -130,12 +130,13 @@ def style() -> Iterator[None]:
             f"matplotlibrc is not UTF-8 text ({error.reason}): correct or remove the file"
         ) from None
 
+    # of the process, not of a figure
     own = {
         "backend",
         "backend_fallback",
         "interactive",
         "toolbar",
-    }  # of the process, not of a figure
+    }
     defaults = {
         name: value for name, value in rcParamsDefault.items() if name not in own
     }
@@ -196,9 +197,8 @@ def as_picture(fig: Figure, stem: str, title: str, alt: str, caption: str) -> Pi
     canvas.print_svg(whole, metadata=nothing)  # `savefig` would draw it twice
     text = whole.getvalue()
     text = text[text.index("<svg") :].strip()
-    text = re.sub(
-        r'<g id="[\w.]+">', "<g>", text
-    )  # names that matplotlib gives in every figure
+    # names that matplotlib gives in every figure
+    text = re.sub(r'<g id="[\w.]+">', "<g>", text)
     text = re.sub(
         r'\b(d|x|y|transform)="[^"]*"',
         lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]),

@@ -377,9 +377,8 @@ class _Layout:
         for column in columns:
             nodes = {end for name in column for end in self.ends[name]} - named
             named |= nodes
-            x += max(
-                [LETTER * len(n) for n in nodes], default=0.0
-            )  # names stand left of their bars
+            # names stand left of their bars
+            x += max([LETTER * len(n) for n in nodes], default=0.0)
             self.x |= dict.fromkeys(column, x + SYMBOL / 2)
             texts = [
                 text
