@@ -13,7 +13,9 @@ per car.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -256,6 +258,31 @@ def _made(kind: type[Any], data: Mapping[str, Any] | None) -> Any:
     return kind(**{k: tuples(v) for k, v in data.items()}) if data else None
 
 
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(map(float, values))
+
+
+def _rows(values: Any) -> tuple[tuple[int, float, float], ...]:
+    return tuple((int(i), float(a), float(b)) for i, a, b in values)
+
+
+#: from plain data to each field of a `Memory`
+_READERS: dict[str, Callable[[Any], Any]] = {
+    "scale": _floats,
+    "change": _floats,
+    "order": int,
+    "leak": _rows,
+    "step": float,
+    "late": _rows,
+    "speed": float,
+    "filter": partial(_made, Filter),
+    "ahead": int,
+    "rise": float,
+    "echo": partial(_made, Echo),
+    "frames": lambda frames: frames,
+}
+
+
 @dataclass(frozen=True)
 class Memory(History):
     """Definition of the features of observations: a history, the road ahead, and an estimate."""
@@ -349,23 +376,13 @@ class Memory(History):
     def from_dict(cls, data: Mapping[str, Any]) -> Memory:
         """Return a memory from plain data."""
         try:
+            given = data.keys()
             return cls(
-                scale=tuple(float(s) for s in data.get("scale", ())),
-                change=tuple(float(s) for s in data.get("change", ())),
-                order=int(data.get("order", 0)),
-                leak=tuple(
-                    (int(i), float(t), float(s)) for i, t, s in data.get("leak", ())
-                ),
-                step=float(data.get("step", 5e-3)),
-                late=tuple(
-                    (int(c), float(d), float(t)) for c, d, t in data.get("late", ())
-                ),
-                speed=float(data.get("speed", 20.0)),
-                filter=_made(Filter, data.get("filter")),
-                ahead=int(data.get("ahead", 0)),
-                rise=float(data.get("rise", 1.4e-3)),
-                echo=_made(Echo, data.get("echo")),
-                frames=data.get("frames", 1),
+                **{
+                    key: read(data[key])
+                    for key, read in _READERS.items()
+                    if key in given
+                }
             )
         except InputError:
             raise

@@ -111,8 +111,8 @@ class _Table:
 
         return [
             {
-                head: self.changed(name, digits, scale)
-                for name, (head, digits, scale) in group.items()
+                f"{head}\n{unit}": self.changed(name, digits, scale)
+                for name, (head, unit, digits, scale) in group.items()
             }
             for group in corner_measures(self.result.policies[0])
         ]

@@ -132,16 +132,16 @@ class Run:
     @property
     def limit_violations(self) -> dict[str, int]:
         """Number of samples beyond each of the `LIMITS`."""
-        slew = np.abs(np.diff(self.current, axis=0, prepend=0.0))
+        changes = np.diff(self.current, axis=0, prepend=0.0)
+        signals = {
+            "body_acceleration": (self.body_acceleration, 0.0),
+            "suspension_travel": (self.suspension_travel, 0.0),
+            "current": (self.current, 1e-9),
+            "current_change": (changes, 1e-9),
+        }
         return {
-            "body_acceleration": int(
-                np.sum(np.abs(self.body_acceleration) > LIMITS["body_acceleration"])
-            ),
-            "suspension_travel": int(
-                np.sum(np.abs(self.suspension_travel) > LIMITS["suspension_travel"])
-            ),
-            "current": int(np.sum(np.abs(self.current) > LIMITS["current"] + 1e-9)),
-            "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
+            name: int(np.sum(np.abs(signal) > LIMITS[name] + tolerance))
+            for name, (signal, tolerance) in signals.items()
         }
 
     def cost(self, cost: StageCost) -> np.ndarray:
@@ -388,8 +388,9 @@ def measures(
     for name, unit in units(car).items():
         if name not in found:
             kind = name.removesuffix("_rms")
+            is_single = kind in run.signals
             found[name] = mean_square(
-                [run.signals[kind]] if kind in run.signals else run.of(kind)
+                [run.signals[kind]] if is_single else run.of(kind)
             )
         out[name] = (found[name], unit)
     return out
@@ -406,9 +407,11 @@ PRINTED: tuple[dict[str, tuple[str, str, float, int]], ...] = (
 )
 
 
-def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float]]]:
-    """Return heading, decimals and scale of the measures of axes and corners, one group per table; no groups
-    for a quarter car."""
+def corner_measures(
+    row: dict[str, Any],
+) -> list[dict[str, tuple[str, str, int, float]]]:
+    """Return heading, unit with the name of the corner, decimals and scale of the measures of axes and corners, one group per
+    table; no groups for a quarter car."""
     out = []
     for kinds in PRINTED:
         group = {}
@@ -418,17 +421,10 @@ def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float
             )
             if kind is not None:
                 head, unit, scale, digits = kinds[kind]
-                corner = (
-                    name.removeprefix(kind)
-                    .removesuffix("_rms")
-                    .replace("_", " ")
-                    .strip()
-                )
-                group[name] = (
-                    f"{head}\n{f'{corner}, ' if corner else ''}{unit}",
-                    digits,
-                    scale,
-                )
+                words = name.removeprefix(kind).removesuffix("_rms").split("_")
+                corner = " ".join(filter(None, words))
+                place = f"{corner}, {unit}" if corner else unit
+                group[name] = head, place, digits, scale
         out += [group] if group else []
     return out
 

@@ -448,6 +448,13 @@ def _currents(actions: Any) -> np.ndarray:
         raise InputError("the actions must be numbers, currents in A") from None
 
 
+def _check_count(name: str, value: Any) -> None:
+    """Raise `InputError` for a value that is no positive whole number."""
+    is_whole_number = isinstance(value, int | np.integer) and value is not True
+    if not is_whole_number or value < 1:
+        raise InputError(f"{name} must be a positive whole number, not {shown(value)}")
+
+
 class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
     """A vector environment of many cars: `gymnasium.make_vec("ISDSuspension-v0", 1024)`, and likewise half and full cars.
 
@@ -492,24 +499,12 @@ class ISDSuspensionVectorEnv(_KnowsItsLength, VectorEnv):
         **options: Any,
     ) -> None:
         _check_render_mode(render_mode, ["rgb_array"])
-        for name, value in (
-            ("num_envs", num_envs),
-            ("cars_per_road", cars_per_road),
-            *(
-                [("max_episode_steps", max_episode_steps)]
-                if max_episode_steps is not None
-                else []
-            ),
-            *([("threads", threads)] if threads is not None else []),
-        ):
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | np.integer)
-                or value < 1
-            ):
-                raise InputError(
-                    f"{name} must be a positive whole number, not {shown(value)}"
-                )
+        _check_count("num_envs", num_envs)
+        _check_count("cars_per_road", cars_per_road)
+        if max_episode_steps is not None:
+            _check_count("max_episode_steps", max_episode_steps)
+        if threads is not None:
+            _check_count("threads", threads)
         if num_envs % cars_per_road:
             raise InputError(
                 f"{num_envs} cars cannot be shared out to roads of {cars_per_road} cars each"

@@ -7,9 +7,9 @@ model over given inputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -820,9 +820,12 @@ def simulate(
         raise InputError(
             f"{dt * len(time):.4g} s would take more than {_MOST_STEPS:g} steps of {step:g} s: give a larger step"
         )
+    if interpolation == "auto":
+        run = partial(simulate, network, time, inputs, initial=initial, extra=extra)
+        return _simulate_as_needed(run, time, step)
     if interpolation not in ("linear", "smooth", "spline"):
-        return _simulate_as_needed(
-            interpolation, network, time, inputs, step, initial, extra
+        raise InputError(
+            f"interpolation must be linear, smooth, spline or auto, not {shown(interpolation)}"
         )
     every = max(1, math.ceil(dt / step - 1e-9))
     plant = Plant(network, dt / every, extra=extra)
@@ -883,39 +886,13 @@ def simulate(
 
 
 def _simulate_as_needed(
-    interpolation: str,
-    network: Network,
-    time: np.ndarray,
-    inputs: Mapping[str, np.ndarray],
-    step: float,
-    initial: np.ndarray | None,
-    extra: Sequence[Channel],
+    run: Callable[..., dict[str, np.ndarray]], time: np.ndarray, step: float
 ) -> dict[str, np.ndarray]:
-    """Return the outputs with splines through smooth inputs, and through all where an output shows that the samples are sparse."""
-    if interpolation != "auto":
-        raise InputError(
-            f"interpolation must be linear, smooth, spline or auto, not {shown(interpolation)}"
-        )
-    outputs = simulate(
-        network,
-        time,
-        inputs,
-        step=step,
-        initial=initial,
-        extra=extra,
-        interpolation="smooth",
-    )
+    """Return the outputs of `run` with splines through smooth inputs, and through all where an output shows that the samples are sparse."""
+    outputs = run(step=step, interpolation="smooth")
     dt = (time[-1] - time[0]) / (len(time) - 1)
     scale = min((pace(y, dt) for y in outputs.values()), default=math.inf)
     if len(time) < _FEWEST or dt <= COARSE * scale:
         return outputs
     fine = max(min(step, FINE * scale), dt * len(time) / _MOST_STEPS)
-    return simulate(
-        network,
-        time,
-        inputs,
-        step=fine,
-        initial=initial,
-        extra=extra,
-        interpolation="spline",
-    )
+    return run(step=fine, interpolation="spline")

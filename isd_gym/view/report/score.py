@@ -118,13 +118,7 @@ class Shown:
         """Tables of axes and corners: heading, unit, decimals and scale by measure; none of a quarter car."""
         from ...benchmark.scoring import corner_measures
 
-        return [
-            {
-                name: (head.split("\n")[0], head.split("\n")[1], digits, scale)
-                for name, (head, digits, scale) in group.items()
-            }
-            for group in corner_measures(self.score.policies[0])
-        ]
+        return corner_measures(self.score.policies[0])
 
     @property
     def cost_words(self) -> str:
