@@ -508,9 +508,8 @@ def _plan(x, current, moves, road, problem, iterations):
     broken = 0
     for e in range(cars):
         start, plan, present = np.ascontiguousarray(x[:, e]), moves[e], current[e]
-        for k in range(
-            steps
-        ):  # the warm start must be feasible from the present current
+        # the warm start must be feasible from the present current
+        for k in range(steps):
             plan[k] = _allowed(plan[k], present, problem.slew)
             present += plan[k]
         cost = _improve(
@@ -547,20 +546,16 @@ class FrictionMpcSettings:
     centring: float = 0.05  # weight of the device's travel over its stop [-]
     spread: float = 1.0  # factor on the road's share in the friction's rate [-]
     floor: float = 0.005  # smallest spread of the friction's rate [m/s]
-    terminal_rate: float = (
-        0.2  # rate of the linearisation of friction in the cost-to-go [m/s]
-    )
-    friction_noise: float = (
-        300.0  # standard deviation of the estimator's friction per step [N]
-    )
-    preview: float = (
-        0.0  # known road ahead [s]; only the road beyond contributes to the spread
-    )
+    # rate of the linearisation of friction in the cost-to-go [m/s]
+    terminal_rate: float = 0.2
+    # standard deviation of the estimator's friction per step [N]
+    friction_noise: float = 300.0
+    # known road ahead [s]; only the road beyond contributes to the spread
+    preview: float = 0.0
     #: standard deviations of the measurements in the estimator
     sensors: Sensors = field(default_factory=Sensors)
-    road_intensity: float = (
-        ROAD_INTENSITY  # two-sided intensity of the road's velocity [m^2/s]
-    )
+    # two-sided intensity of the road's velocity [m^2/s]
+    road_intensity: float = ROAD_INTENSITY
 
     def __post_init__(self) -> None:
         if self.horizon < 1 or self.iterations < 1:
@@ -669,9 +664,8 @@ class FrictionMpc(DesignedController[FrictionMpcSettings]):
             return np.zeros(obs.shape[1])
         self.moves[:, :-1] = self.moves[:, 1:]
         self.moves[:, -1] = 0.0
-        present = np.ascontiguousarray(
-            obs[CURRENT]
-        )  # one type of argument: the sweeps are compiled once
+        # one type of argument: the sweeps are compiled once
+        present = np.ascontiguousarray(obs[CURRENT])
         self.fallbacks += _plan(
             x, present, self.moves, self._road, self._problem, self.settings.iterations
         )
