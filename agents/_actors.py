@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.agents.policy import Policy
+from isd_gym.agents.policy import Head, Policy
 
 from isd_gym._common.errors import InputError, shown
 
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     import numpy as np
     from isd_gym.agents._memory import Memory
-    from isd_gym.agents.policy import Head
 
 
 def actor_layers(

@@ -32,12 +32,11 @@ from isd_gym._common.errors import InputError, how_to_install, shown
 from isd_gym._common.inputs import is_whole, number, parse_json, read_bytes, too_large
 from isd_gym.env.history import BOUND
 from isd_gym.physics.network import Network
-from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
+from isd_gym.physics.vehicle import CURRENT_LIMIT, SLEW_RATE, Vehicle, vehicle
 
 if TYPE_CHECKING:
     from isd_gym.benchmark.driving import Entry
     from isd_gym.physics.cost import StageCost
-    from isd_gym.physics.vehicle import Vehicle
 
 #: limit of the total unpacked size of an archive's parts [bytes]
 ARCHIVE_LIMIT = 512 * 2**20

@@ -13,7 +13,7 @@ per car.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -25,8 +25,6 @@ from isd_gym._common.inputs import is_whole, number
 from isd_gym.env.history import LARGEST, SIGNALS, History, Remembered, history_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from isd_gym.physics.vehicle import Vehicle
 
 #: limit of a policy's file: states of a filter

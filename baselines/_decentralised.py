@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.physics.vehicle import vehicle
+from isd_gym.physics.vehicle import Vehicle, vehicle
 
 from .controller import BatchController, steps_ahead
 from .lqg import STEEPEST
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from isd_gym.physics.cost import StageCost
     from isd_gym.physics.network import Network
-    from isd_gym.physics.vehicle import Vehicle
 
 #: measured signals of a corner, in the order of a quarter car's observation after the acceleration
 OWN = (

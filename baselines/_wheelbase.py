@@ -18,7 +18,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isd_gym._common.errors import InputError
-from isd_gym.physics.car_prediction import CarWeights, car_model, car_regulator
+from isd_gym.physics.car_prediction import (
+    CarModel,
+    CarWeights,
+    car_model,
+    car_regulator,
+)
 from isd_gym.physics.cost import StageCost
 from isd_gym.physics.prediction import DESIGN_SPEED, prediction_model
 
@@ -29,7 +34,6 @@ from .friction import FrictionMpc, FrictionMpcSettings, with_preview
 from .lqg import STEEPEST, LawSettings
 
 if TYPE_CHECKING:
-    from isd_gym.physics.car_prediction import CarModel
     from isd_gym.physics.network import Network
 
 

@@ -27,7 +27,7 @@ from .benchmark.policies import find, passive
 from .benchmark.scoring import IDLE, LEARN, Conditions, drive
 from .env import ISDSuspensionVectorEnv
 from .env.history import history_of
-from .env.task import CONTROL_STEP
+from .env.task import CONTROL_STEP, Task
 from .physics.road import road as find_road
 from .physics.vehicle import CURRENT_LIMIT, SLEW_RATE
 
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
         VecEnvStepReturn,
     )
 
-    from .env.task import Task
 
 __all__ = [
     "BatchedVecEnv",

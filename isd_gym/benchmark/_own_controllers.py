@@ -11,7 +11,7 @@ import sys
 import traceback
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from .._common.errors import InputError, hint, shown
@@ -19,7 +19,6 @@ from .driving import Driver, Entry
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import ModuleType
 
 
 def entry_of_file(name: str) -> Entry | None:

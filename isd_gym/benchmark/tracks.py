@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .._common.errors import InputError, hint, shown
-from .driving import Crew
+from .driving import Crew, Entry
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .driving import Entry
 
 __all__ = ["TRACKS", "Track", "find_track"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from math import isfinite
@@ -28,8 +28,6 @@ from ._pictures import Onlooker
 from .task import Options, Task, info_maker
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from gymnasium.envs.registration import EnvSpec
 
     from ..physics.network import Network

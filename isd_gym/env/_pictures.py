@@ -10,13 +10,11 @@ import numpy as np
 
 from ..physics import elements as el
 from ..physics.network import GROUND
-from ..physics.vehicle import CURRENT_LIMIT
-from .task import PICTURE_WINDOW
+from ..physics.vehicle import CURRENT_LIMIT, Corner
+from .task import PICTURE_WINDOW, Task
 
 if TYPE_CHECKING:
-    from ..physics.vehicle import Corner
     from ..view.rendering import CarSnapshot, CornerSnapshot
-    from .task import Task
 
 PAST = 4.0  # length of the curves [s]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -21,17 +21,14 @@ from .._common.errors import InputError
 from . import elements as el
 from ._kernel import layout as place
 from ._kernel.layout import TOGETHER, WIDTH, aligned
-from .network import Network
+from .network import Channel, Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
 from .vehicle import CURRENT_LIMIT, SLEW_RATE, vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from ._value import Value
-    from .network import Channel
 
 NO_SATURATION = 1e9
 LATE = 100  # groups of cars that this thread handles while another thread wakes (about 40 us)

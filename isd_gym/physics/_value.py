@@ -40,11 +40,10 @@ from .prediction import (
     statistical_linearisation,
 )
 from .simulate import PHYSICS_STEP
-from .vehicle import vehicle
+from .vehicle import Vehicle, vehicle
 
 if TYPE_CHECKING:
     from .cost import StageCost
-    from .vehicle import Vehicle
 
 #: weights of the causal ceiling: of the change of current instead of the slew limit [1/A^2], and of the
 #: devices' travel over their stop [-]

@@ -20,6 +20,7 @@ import numpy as np
 
 from .prediction import (
     ROAD_INTENSITY,
+    Equations,
     Laws,
     Sensors,
     device_reach,
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from . import elements as el
     from .cost import StageCost
     from .network import Network
-    from .prediction import Equations
 
 
 class WholeCar(Laws):

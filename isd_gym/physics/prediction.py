@@ -16,7 +16,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from .._common.errors import InputError
 from . import elements as el
-from .network import Network, assemble
+from .network import Channel, Network, assemble
 from .network._linear import slopes
 from .road import paper_road
 from .vehicle import require_quarter_car, state_channels, vehicle
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from .cost import StageCost
-    from .network import Channel
 
 PAPER_CAR = "quarter-car-isd"
 # typical rate of the device on the paper's road, at which the level of a friction is evaluated [m/s]

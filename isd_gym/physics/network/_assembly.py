@@ -29,14 +29,12 @@ import numpy as np
 from ..._common.errors import InputError
 from ..._common.units import HELD
 from .. import elements as el
-from ._coordinates import coordinates
+from ._coordinates import Coordinates, coordinates
 from ._model import GROUND, MOTIONS, Channel, Network
 from .frames import complete, frames, unknown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from ._coordinates import Coordinates
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,11 @@ from ..._common.inputs import is_number, parse_json, read_bytes
 from ..._common.units import QUANTITIES, TURNING, si_of
 from .. import elements as el
 from ._bodies import AXES, LEVER_UNITS, Body, Lever, angle_node, body_of
-from ._model import ELEMENTS, Channel, Network, check_name
+from ._model import ELEMENTS, Channel, Network, Offset, check_name
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ._model import Offset
 
 SCHEMA = "isd-model/1"
 TEXT_LENGTH = 4000  # largest length of a model's name and description

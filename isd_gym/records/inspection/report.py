@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._common.errors import InputError, plain, shown
 from ..data._columns import did_you_mean
-from ..loggers.mapping import Logger
+from ..loggers.mapping import ChannelMap, Logger
 from ..loggers.recording import EPOCH, Raster, continuous, rasters
 from .facts import Facts, Oddity, facts_of, odd_stamps, odd_values
 from .map_file import map_content
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ...physics.network import Network
-    from ..loggers.mapping import ChannelMap
     from .match import Suggestion
 
 # end of the year 9999 [s since 1970]; later stamps are no dates

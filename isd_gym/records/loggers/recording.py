@@ -19,14 +19,13 @@ from scipy.interpolate import CubicSpline
 from ..._common.errors import InputError, plain, shown
 from ..._common.units import convert
 from ..data import Table
-from ..data._columns import stamps_of, time_unit
+from ..data._columns import Columns, stamps_of, time_unit
 from ..data._signals import even_stamps, stamp_rounding, unwrapped
 from ..data._table import read_rasters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ..data._columns import Columns
 
 EPOCH = 1e8  # later stamps are absolute and count from 1970 [s]
 LEAST = 200  # smallest number of samples between two gaps; shorter pieces are omitted

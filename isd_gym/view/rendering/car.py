@@ -15,8 +15,8 @@ import numpy as np
 
 from . import corner as suspension
 from . import wheel
-from .canvas import number
-from .corner import Suspension
+from .canvas import Canvas, Point, number
+from .corner import Suspension, Words
 from .palette import INK, MUTED, PALE, WHITE, Colour, mix
 from .road import Window, ground, reference_height, rulers
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .canvas import Canvas, Point
-    from .corner import Words
     from .snapshots import CarSnapshot, CornerSnapshot
 
 BEHIND, AHEAD, ASIDE = 1.3, 2.1, 0.65  # road beyond the outermost wheels [m]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import number
+from .canvas import Canvas, number
 from .palette import CAR_COLOURS, MUTED, PALE, STEEL_FAR
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .canvas import Canvas
     from .snapshots import CarSnapshot, Trace
 
 SECONDS = 4.0  # length of the curves

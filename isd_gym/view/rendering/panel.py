@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import number
+from .canvas import Canvas, number
 from .curves import SECONDS, History, Scale, plot
 from .palette import CAR_COLOURS, INK, MUTED, PALE, PULL, PUSH, STEEL_FAR
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .canvas import Canvas
     from .snapshots import CarSnapshot, CornerSnapshot
 
 CELL = 25.0  # height of a corner's current [units of the layout]

@@ -33,7 +33,7 @@ from .charts import (
     log_ticks,
     picture,
 )
-from .forces import laws_of, measured_loops, missing_force
+from .forces import Curve, Loops, laws_of, measured_loops, missing_force
 from .plots import (
     BLUE,
     INK,
@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...diagnosis import Diagnosis, Quantity, Trace
     from ...physics.network import Network
-    from .forces import Curve, Loops
 
 
 #: stages of a diagnosis: head of a column, and its meaning

@@ -15,13 +15,11 @@ from ..._common.errors import InputError
 from ..._common.files import write_text
 from ..._common.units import practical
 from ...physics import elements as el
-from ...physics.network import GROUND
+from ...physics.network import GROUND, Channel, Lever, Network
 from .plots import BLUE, INK, MUTED, VERMILLION, channel_text, number, themed, unit_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-
-    from ...physics.network import Channel, Lever, Network
 
     #: text, colour, and whether it is bold
     Words = list[tuple[str, str, bool]]

@@ -10,7 +10,7 @@ import numpy as np
 from ...diagnosis._estimation.structure import Hypothesis
 from ...physics import elements as el
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule
-from .forces import GRID
+from .forces import GRID, Curve, Missing
 from .plots import BLUE, COLOURS, INK, MUTED, Look, caption, percent
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..._common.arrays import Array
     from ...diagnosis import Diagnosis
     from .diagnosis import View
-    from .forces import Curve, Missing
 
     #: effects of a candidate at a place, with their values
     Laws = list[tuple[Hypothesis, dict[str, float]]]
