@@ -6,7 +6,6 @@ parameters and initial states of all records follow.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -24,6 +23,7 @@ from .structure import base_structure
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ..._common.arrays import Array
     from ...physics.network import Network
 
 #: largest lag in the search [s]
@@ -48,9 +48,12 @@ class Lag:
 
     record: str
     clock: str
-    value: float  # delay of the time stamps [s]
-    low: float  # lower end of the 95 % interval [s]
-    high: float  # upper end of the 95 % interval [s]
+    #: delay of the time stamps [s]
+    value: float
+    #: lower end of the 95 % interval [s]
+    low: float
+    #: upper end of the 95 % interval [s]
+    high: float
     #: Reason to doubt the lag, such as a second lag of nearly equal cost; empty without doubt.
     doubt: str = ""
 
@@ -67,47 +70,49 @@ def align_clocks(
     limit: float = LIMIT,
 ) -> tuple[list[Record], list[Lag]]:
     """Return records with the lags between their clocks, fitted with the parameters of a model, and these lags. `limit`: largest lag [s]."""
-    if not any(r.clocks for r in records):
-        return list(records), []
     out = list(records)
     doubts: dict[int, str] = {}
-    structure = base_structure(network)
     for i, r in enumerate(out):
         if r.clocks:
             out[i], doubts[i] = _search_lags(r, network, limit)
-    x, fit = structure.start, None
-    for _ in range(ROUNDS):
-        problem = Problem(network, out)
-        deviation = problem.deviation()
+    fit = None
+    for _ in range(ROUNDS if doubts else 0):
         try:
-            fit = Fitter(problem, white_weights(0.5 * ROUGH * deviation)).fit(
-                structure, x, iterations=4
-            )
+            fit = _fit(out, network, None if fit is None else fit.x, iterations=4)
         except InputError:  # the simulation diverges: the lags of the wide search stay
             break
-        x, moved = fit.x, 0.0
-        for i, r in enumerate(out):
-            if r.clocks:
-                step = np.clip(
-                    fit.offset[i][len(problem.channels) :],
-                    -STRIDE * r.pace,
-                    STRIDE * r.pace,
-                )
-                moved = max(moved, float(np.abs(step).max() / r.pace))
-                lags = {
-                    k: r.lags[k] + float(s) for k, s in zip(r.clocks, step, strict=True)
-                }
-                out[i] = _apply_lags(r, lags, network)
+        moved = 0.0
+        for i in doubts:
+            r, steps = out[i], _steps(fit, i, out[i])
+            moved = max(moved, float(np.abs(steps).max()) / r.pace)
+            lags = {
+                k: r.lags[k] + float(s) for k, s in zip(r.clocks, steps, strict=True)
+            }
+            out[i] = _apply_lags(r, lags, network)
         if moved < 1e-3:
             break
-    if fit is None:
-        return out, []
-    problem = Problem(network, out)
-    return out, [
-        lag
-        for i in range(len(out))
-        for lag in _estimate_lags(problem, fit, i, doubts.get(i, ""))
-    ]
+    found = []
+    if fit is not None:
+        for i, doubt in doubts.items():
+            found += _estimate_lags(out[i], fit.outputs[i], doubt)
+    return out, found
+
+
+def _fit(
+    records: Sequence[Record], network: Network, x: Array | None, iterations: int
+) -> Fit:
+    """Return the fit of parameters, initial states and lags to records."""
+    problem, structure = Problem(network, records), base_structure(network)
+    fitter = Fitter(problem, white_weights(0.5 * ROUGH * problem.deviation()))
+    return fitter.fit(
+        structure, structure.start if x is None else x, iterations=iterations
+    )
+
+
+def _steps(fit: Fit, index: int, record: Record) -> Array:
+    """Return the changes of the lags of a record that a fit asks for (clocks,) [s]."""
+    steps = fit.offset[index][-len(record.clocks) :]
+    return np.clip(steps, -STRIDE * record.pace, STRIDE * record.pace)
 
 
 def _apply_lags(record: Record, lags: Mapping[str, float], network: Network) -> Record:
@@ -116,62 +121,42 @@ def _apply_lags(record: Record, lags: Mapping[str, float], network: Network) -> 
     return replace(build_record(record.source, network, lags), name=record.name)
 
 
-def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[Lag]:
-    """Return the lags of a record after a fit, with confidence intervals from the scatter of blocks."""
-    r, out = problem.records[index], []
-    if not r.clocks or index not in fit.outputs:
-        return []
-    y = fit.outputs[index]
-    n = min(len(y), len(r.measured))
-    residual = r.measured[:n] - y[:n]
+def _estimate_lags(record: Record, outputs: Array, doubt: str) -> list[Lag]:
+    """Return the lags of a record after a fit with these outputs, with confidence intervals from the scatter of blocks."""
+    n = min(len(outputs), len(record))
+    residual = record.measured[:n] - outputs[:n]
     size = np.maximum(residual.std(axis=0), 1e-300)
-    slope = np.gradient(y[:n], r.interval, axis=0)
-    for k, (clock, own) in enumerate(zip(r.clocks, r.late, strict=True)):
-        s = slope[:, own] / size[own]
-        score, information = (
-            (s * residual[:, own] / size[own]).sum(axis=1),
-            (s**2).sum(axis=1),
-        )
-        parts = np.array(
-            [p.sum() for p in np.array_split(score - score.mean(), BLOCKS)]
-        )
-        half = (
-            Z95
-            * math.sqrt(float(np.sum(parts**2)))
-            / max(float(information.sum()), 1e-300)
-        )
-        value = r.lags[clock] + float(fit.offset[index][len(problem.channels) + k])
-        out.append(Lag(r.name, clock, value, value - half, value + half, doubt))
+    slope = np.gradient(outputs[:n], record.interval, axis=0) / size
+    out = []
+    for clock, own in zip(record.clocks, record.late, strict=True):
+        score = np.sum(slope[:, own] * (residual / size)[:, own], axis=1)
+        blocks = np.array_split(score - score.mean(), BLOCKS)
+        information = max(float(np.sum(slope[:, own] ** 2)), 1e-300)
+        half = Z95 * float(np.linalg.norm([b.sum() for b in blocks])) / information
+        value = record.lags[clock]
+        out.append(Lag(record.name, clock, value, value - half, value + half, doubt))
     return out
 
 
 def _search_lags(record: Record, network: Network, limit: float) -> tuple[Record, str]:
     """Return a record with the lags of its clocks within a limit [s], and a reason to doubt them: of the lags with the highest
     correlation of simulated and measured outputs the one with the smallest error of a fit."""
-    structure, doubt = base_structure(network), ""
-    deviation = np.maximum(record.measured.std(axis=0), 1e-300)
-    weights = white_weights(0.5 * ROUGH * deviation)
+    doubt = ""
     for k, clock in enumerate(record.clocks):
         tried = []
         for lag in _peaks(record, network, k, limit):
             r = _apply_lags(record, {**record.lags, clock: lag}, network)
             try:
-                fit = Fitter(Problem(network, [r]), weights).fit(
-                    structure, iterations=5
-                )
+                fit = _fit([r], network, None, iterations=5)
             except BROKEN:
                 continue
-            step = fit.offset[0][len(network.outputs) + k]
-            found = lag + float(np.clip(step, -STRIDE * r.pace, STRIDE * r.pace))
+            found = lag + float(_steps(fit, 0, r)[k])
             tried.append(((fit.cost + fit.prior) / len(r), found))
         if not tried:
             return record, "the model breaks down before anything is fitted"
         least, best = min(tried)
-        alike = [
-            lag
-            for cost, lag in tried
-            if cost < ALIKE * least and abs(lag - best) > record.pace
-        ]
+        alike = [lag for cost, lag in tried if cost < ALIKE * least]
+        alike = [lag for lag in alike if abs(lag - best) > record.pace]
         if abs(best) > 0.97 * limit:
             doubt = f"at the limit of {limit:.3g} s within which it was sought"
         elif alike:
@@ -183,9 +168,8 @@ def _search_lags(record: Record, network: Network, limit: float) -> tuple[Record
 def _peaks(record: Record, network: Network, clock: int, limit: float) -> list[float]:
     """Return the lags [s] of a clock with the highest correlation of simulated and measured outputs, each a time scale from the others."""
     assert record.source is not None
-    problem = Problem(network, [record.unread()])
     initial = guess(Problem(network, [record]), network, 0)[:, None]
-    simulated = problem.simulate([network], 0, initial)[:, :, 0]
+    simulated = Problem(network, [record.unread()]).simulate([network], 0, initial)
     grid = record.start + record.step * np.arange(len(simulated))
     spacing = RASTER * record.pace
     count = int(min(limit, 0.25 * (grid[-1] - grid[0])) / spacing)
@@ -193,14 +177,18 @@ def _peaks(record: Record, network: Network, clock: int, limit: float) -> list[f
     inner = slice(*np.searchsorted(grid, [grid[0] - lags[0], grid[-1] + lags[0]]))
     score = np.zeros(len(lags))
     for j in np.flatnonzero(record.late[clock]):
-        signal = record.source.signals[problem.channels[j]]
-        y = simulated[inner, j] - simulated[inner, j].mean()
+        signal = record.source.signals[network.outputs[j].name]
         for n, lag in enumerate(lags):
             x = np.interp(grid[inner] + lag, signal.time, signal.values)
-            size = float(np.linalg.norm(x - x.mean()) * np.linalg.norm(y))
-            score[n] += float((x - x.mean()) @ y) / max(size, 1e-300)
+            score[n] += _correlation(x, simulated[inner, j, 0])
     found: list[float] = []
-    for n in np.argsort(-score, kind="stable"):
-        if len(found) < PEAKS and all(abs(lags[n] - x) > record.pace for x in found):
-            found.append(float(lags[n]))
+    for lag in lags[np.argsort(-score, kind="stable")]:
+        if len(found) < PEAKS and all(abs(lag - x) > record.pace for x in found):
+            found.append(float(lag))
     return found
+
+
+def _correlation(x: Array, y: Array) -> float:
+    """Return the correlation of two signals (n,); 0 for a constant."""
+    x, y = x - x.mean(), y - y.mean()
+    return float(x @ y) / max(float(np.linalg.norm(x) * np.linalg.norm(y)), 1e-300)

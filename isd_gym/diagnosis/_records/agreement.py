@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +21,12 @@ from ...physics.network import own_time
 from .._simulation.problem import Problem, simulate_from_rest
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
     from ..._common.arrays import Array
-    from ...physics.network import Channel
+    from ...physics.network import Channel, Network
 
 CLEAR = 0.85  # least correlation of a channel with the simulation for a statement about the channel
 SCALED = 0.93  # least correlation for a statement about a unit
@@ -45,149 +50,147 @@ VAGUE = (
 )
 
 
+@dataclass(frozen=True)
+class _Spectra:
+    """Agreement of simulated and measured outputs over all records."""
+
+    #: correlation of simulated (rows) with measured outputs (columns)
+    correlation: Array
+    #: ratio of the amplitudes of measured (columns) to simulated outputs (rows)
+    gain: Array
+    #: whether the records are single sines near or above the slowest oscillation of the rig
+    is_narrow: bool
+
+
 def find_misreading(problem: Problem) -> str:
     """Return the clearest sign of a turned, mislabelled or swapped channel, in a line with the correlation and the remedy; '' for
     records that agree with the model or cannot be compared."""
     network = problem.network
     if not network.inputs or not all(c.measured for c in network.inputs):
         return ""
-    spectra = _pooled(problem)
-    if spectra is None:
+    found = _compare(problem)
+    if found is None:
         return ""
-    xx, yy, xy, narrow = spectra
-    r = xy / np.sqrt(np.outer(xx, yy))  # [simulated, measured]
-    gain = np.sqrt(yy[None, :] / xx[:, None])
-    outputs = list(network.outputs)
-    if swap := _swapped(outputs, r, gain):
-        return swap
-    own, amplitude = np.diag(r), np.diag(gain)
-    turned = [j for j in range(len(outputs)) if own[j] < -CLEAR]
-    agree = [j for j in range(len(outputs)) if own[j] > CLEAR]
-    if narrow and not agree:
-        turned = []  # beyond a resonance that the model has elsewhere, every output of a sine is turned
-    drives = [
-        c
-        for c in network.inputs
-        if c.quantity in ("displacement", "velocity", "acceleration", "force")
-    ]
-    if (
-        len(turned) > 1
-        and len(turned) == len(outputs)
-        and len(network.inputs) == len(drives) == 1
-    ):
-        name = plain(drives[0].name, 40)
-        worst = max(own[j] for j in turned)
-        return f"all outputs follow the model with r = {worst:.2f} or less, turned round: --sign {name}=-1"
-    if turned:
-        j = min(turned, key=lambda j: own[j])
-        name = plain(outputs[j].name, 40)
-        line = f"{name} follows the model with r = {own[j]:.2f}, turned round: --sign {name}=-1"
-        motors = {
-            plain(c.elements[0], 40)
-            for c in network.inputs
-            if c.quantity in ("current", "voltage")
-        }
-        if motors and len(turned) == len(outputs):
-            return f"{line}, or swap the nodes of motor {' and '.join(sorted(motors))} in the model"
-        return line
+    swapped = _find_swapped(network.outputs, found.correlation, found.gain)
+    if swapped:
+        return swapped
+    own = np.diag(found.correlation)
+    agrees = own > CLEAR
+    turned = np.flatnonzero(own < -CLEAR)
+    # beyond a resonance that the model has elsewhere, every output of a sine is turned
+    if len(turned) and (agrees.any() or not found.is_narrow):
+        return _describe_turned(network, turned, own)
+    # an uncertain parameter may scale the outputs
     if any(u >= VAGUE for u in network.uncertainty.values()):
         return ""
-    scaled = [j for j in agree if own[j] > SCALED]
-    slips: dict[int, float] = {}
-    for j, (factor, slack) in itertools.product(scaled, SLIPS):
-        if 1 / slack < amplitude[j] / factor < slack:
-            slips.setdefault(j, factor)
-    common = set(slips.values())
-    if (
-        len(slips) > 1
-        and len(common) == 1
-        and len(slips) == len(outputs)
-        and len(drives) == 1
-    ):
-        return _unit_line(
-            drives[0], 1 / common.pop(), float(min(own[j] for j in slips))
+    return _find_wrong_unit(network, own, np.diag(found.gain))
+
+
+def _drives(network: Network) -> list[Channel]:
+    """Return the inputs that are motions or forces."""
+    kinds = ("displacement", "velocity", "acceleration", "force")
+    return [c for c in network.inputs if c.quantity in kinds]
+
+
+def _describe_turned(network: Network, turned: NDArray[np.int_], own: Array) -> str:
+    """Return a line on turned outputs: the input is turned where all outputs are, else the clearest one."""
+    worst = int(turned[np.argmin(own[turned])])
+    is_every = len(turned) == len(network.outputs)
+    if is_every and len(turned) > 1 and len(network.inputs) == len(_drives(network)) == 1:  # fmt: skip
+        name = plain(network.inputs[0].name, 40)
+        return f"all outputs follow the model with r = {max(own):.2f} or less, turned round: --sign {name}=-1"
+    name = plain(network.outputs[worst].name, 40)
+    line = f"{name} follows the model with r = {own[worst]:.2f}, turned round: --sign {name}=-1"
+    motors = {plain(c.elements[0], 40) for c in network.inputs if c.quantity in ("current", "voltage")}  # fmt: skip
+    if motors and is_every:
+        line += (
+            f", or swap the nodes of motor {' and '.join(sorted(motors))} in the model"
         )
-    return next(
-        (
-            line
-            for j, k in slips.items()
-            if (line := _unit_line(outputs[j], k, float(own[j])))
-        ),
-        "",
+    return line
+
+
+def _find_wrong_unit(network: Network, own: Array, gain: Array) -> str:
+    """Return a line on a channel in a wrong unit: the only drive where all outputs differ by one factor, else the first such output."""
+    slips: dict[int, float] = {}
+    for j in np.flatnonzero(own > SCALED):
+        for factor, slack in SLIPS:
+            if 1 / slack < gain[j] / factor < slack:
+                slips.setdefault(int(j), factor)
+    drives, factors = _drives(network), set(slips.values())
+    is_every = 1 < len(slips) == len(network.outputs)
+    if is_every and len(factors) == len(drives) == 1:
+        return _describe_unit(drives[0], 1 / factors.pop(), min(own))
+    lines = [_describe_unit(network.outputs[j], k, own[j]) for j, k in slips.items()]
+    return next(filter(None, lines), "")
+
+
+def _compare(problem: Problem) -> _Spectra | None:
+    """Return the agreement of the simulation from rest with the records; None where no record can be compared."""
+    network = problem.network
+    count = len(network.outputs)
+    own = own_time(network)
+    total = np.zeros((2 * count, 2 * count))
+    is_narrow = True
+    for record in problem.records:
+        simulated = None
+        if len(record) >= LEAST_SAMPLES:
+            simulated = simulate_from_rest(network, record)
+        if simulated is None or len(simulated) < len(record):
+            continue
+        both = np.hstack([simulated[: len(record)], record.measured])
+        both = both[len(record) // 8 :]  # start-up from rest
+        if not np.isfinite(both).all():
+            continue
+        frequency, cross = signal.csd(
+            both[:, :, None],
+            both[:, None, :],
+            1 / record.interval,
+            nperseg=len(both) // SEGMENTS,
+            detrend="linear",
+            axis=0,
+        )
+        total += cross.real.sum(axis=0)
+        power = np.diagonal(cross.real, axis1=1, axis2=2)[:, count:]
+        power = (power / np.maximum(power.sum(axis=0), 1e-300)).sum(axis=1)
+        lines = power.sum() ** 2 / max(np.sum(power**2), 1e-300)
+        peak = 2 * math.pi * frequency[np.argmax(power)]
+        is_fast = own is not None and peak * own > 0.5
+        is_narrow = is_narrow and lines < NARROW and is_fast
+    size = np.sqrt(np.diag(total))
+    if not (np.isfinite(total).all() and (size > 0).all()):
+        return None
+    cross = total[:count, count:]
+    simulated_size, measured_size = size[:count, None], size[None, count:]
+    return _Spectra(
+        cross / (simulated_size * measured_size),
+        measured_size / simulated_size,
+        is_narrow,
     )
 
 
-def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
-    """Return the power of simulated (channels,) and measured outputs (channels,), their cross power, and whether the
-    records are single sines near or above the slowest oscillation of the rig."""
-    network = problem.network
-    count = len(network.outputs)
-    xx, yy, xy = np.zeros(count), np.zeros(count), np.zeros((count, count))
-    narrow, used = True, False
-    own = own_time(network)
-    for record in problem.records:
-        if len(record) < LEAST_SAMPLES:
-            continue
-        said = simulate_from_rest(network, record)
-        if said is None:
-            continue
-        skip = len(record) // 8  # start-up from rest
-        x, y = said[skip : len(record)], record.measured[skip:]
-        if x.shape != y.shape or not np.isfinite(y).all():
-            continue
-        options = {"nperseg": len(x) // SEGMENTS, "detrend": "linear", "axis": 0}
-        frequency, own_power = signal.welch(y, 1 / record.interval, **options)
-        xx += signal.welch(x, 1 / record.interval, **options)[1].sum(axis=0)
-        yy += own_power.sum(axis=0)
-        xy += signal.csd(x[:, :, None], y[:, None, :], 1 / record.interval, **options)[
-            1
-        ].real.sum(axis=0)
-        total = (
-            own_power.sum(axis=1)
-            if count == 1
-            else (own_power / np.maximum(own_power.sum(axis=0), 1e-300)).sum(axis=1)
-        )
-        lines = float(total.sum() ** 2 / max(float((total**2).sum()), 1e-300))
-        fast = (
-            own is not None
-            and 2 * math.pi * frequency[int(np.argmax(total))] * own > 0.5
-        )
-        narrow, used = narrow and lines < NARROW and fast, True
-    if not used or not (np.isfinite(xy).all() and (xx > 0).all() and (yy > 0).all()):
-        return None
-    return xx, yy, xy, narrow
-
-
-def _swapped(outputs: list[Channel], r: Array, gain: Array) -> str:
+def _find_swapped(outputs: Sequence[Channel], r: Array, gain: Array) -> str:
     """Return a line on two outputs whose columns are exchanged; '' without such outputs."""
+    agrees = (r > CLEAR) & (gain > 0.4) & (gain < 2.5)
+    is_own = np.diag((r > UNLIKE) & (gain > 1 / 3) & (gain < 3))
     for i, j in itertools.combinations(range(len(outputs)), 2):
-        crossed = min(r[i, j], r[j, i]) > CLEAR and all(
-            0.4 < gain[a, b] < 2.5 for a, b in ((i, j), (j, i))
+        if not (agrees[i, j] and agrees[j, i]) or (is_own[i] and is_own[j]):
+            continue
+        one, two = (plain(outputs[k].name, 40) for k in (i, j))
+        remedy = "exchange their names in the header"
+        if outputs[i].si == outputs[j].si:
+            remedy = f"--rename {one}={two} --rename {two}={one}"
+        return (
+            f"{one} follows the model's {two} with r = {r[j, i]:.2f}, and {two} its {one} with r = {r[i, j]:.2f}: the columns "
+            f"are swapped: {remedy}"
         )
-        straight = all(r[k, k] > UNLIKE and 1 / 3 < gain[k, k] < 3 for k in (i, j))
-        if crossed and not straight:
-            one, two = (plain(outputs[k].name, 40) for k in (i, j))
-            remedy = (
-                f"--rename {one}={two} --rename {two}={one}"
-                if outputs[i].si == outputs[j].si
-                else "exchange their names in the header"
-            )
-            return (
-                f"{one} follows the model's {two} with r = {r[j, i]:.2f}, and {two} its {one} with r = {r[i, j]:.2f}: the columns "
-                f"are swapped: {remedy}"
-            )
     return ""
 
 
-def _unit_line(channel: Channel, factor: float, r: float) -> str:
+def _describe_unit(channel: Channel, factor: float, r: float) -> str:
     """Return a line on a channel that is `factor` times as large as the model; '' where no unit differs by that factor."""
-    fits = [
-        unit
-        for unit, (si, _) in TABLE.items()
-        if si == channel.si and 0.98 < convert(1.0, unit, channel.unit) * factor < 1.02
-    ]
-    if not fits:
-        return ""
     name = plain(channel.name, 40)
     size = f"{factor:.4g} times" if factor > 1 else f"1/{1 / factor:.4g} of"
-    return f"{name} is {size} what the model says, with r = {r:.2f}, in a wrong unit: --unit {name}={fits[0]}"
+    for unit, (si, _) in TABLE.items():
+        if si == channel.si and 0.98 < convert(1.0, unit, channel.unit) * factor < 1.02:
+            return f"{name} is {size} what the model says, with r = {r:.2f}, in a wrong unit: --unit {name}={unit}"
+    return ""

@@ -14,13 +14,17 @@ References:
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from ..._common.arrays import Array
     from ...physics.network import Network
@@ -38,12 +42,6 @@ LINEAR, RELAY = (0.05, 1e-4), (0.1, 1e-3)
 #: Share of an input's power below which its unpredicted part is rounding rather than an answer to anything.
 ROUNDING = 1e-7
 CYCLES = 6  # earlier intervals from which the next switch is foreseen
-AHEAD = (
-    0.0,
-    0.1,
-    0.2,
-    0.4,
-)  # times ahead of an output as shares of the median interval between switches
 
 
 @dataclass(frozen=True)
@@ -51,11 +49,12 @@ class Feedback:
     """An input that past outputs predict beyond its own past."""
 
     input: str
-    outputs: tuple[str, ...]  # the outputs that predict it
-    share: float  # share of the unpredicted part of the input that past outputs explain, on samples not used for the fit
-    significance: (
-        float  # probability of such a gain in open loop (sign test over blocks)
-    )
+    #: outputs that predict the input
+    outputs: tuple[str, ...]
+    #: share of the unpredicted part of the input that past outputs explain, on samples not used for the fit
+    share: float
+    #: probability of such a gain in open loop (sign test over blocks)
+    significance: float
 
 
 def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback, ...]:
@@ -66,143 +65,139 @@ def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback
         for r in records
         if r.reading is None and r.samples == len(r) > 4 * (OWN + OUTPUT)
     ]
-    if not usable:
-        return ()
-    step = max(usable, key=len).step
+    step = max(usable, key=len).step if usable else 0.0
     usable = [r for r in usable if abs(r.step - step) < 1e-3 * step]
     found = []
     for c in network.inputs:
-        if c.quantity not in COMMANDED:
-            continue
-        every = range(len(network.outputs))
-        laws = {
-            limits: _gain(usable, c.name, every, relay=limits is RELAY)
-            for limits in (LINEAR, RELAY)
-        }
-        passed = [
-            limits
-            for limits, (share, chance) in laws.items()
-            if share >= limits[0] and chance <= limits[1]
-        ]
-        if not passed:
-            continue
-        limits = max(passed, key=lambda law: laws[law][0])
-        alone = [_gain(usable, c.name, [j], relay=limits is RELAY)[0] for j in every]
-        names = [
-            o.name
-            for o, s in zip(network.outputs, alone, strict=True)
-            if s >= 0.5 * max(alone)
-        ]
-        found.append(Feedback(c.name, tuple(names), *laws[limits]))
+        if usable and c.quantity in COMMANDED:
+            found += _feedback_to(c.name, usable, [o.name for o in network.outputs])
     return tuple(found)
 
 
+def _feedback_to(
+    name: str, records: Sequence[Record], outputs: Sequence[str]
+) -> list[Feedback]:
+    """Return the law that predicts an input best, linear or of a relay; empty where neither predicts the input."""
+    every = range(len(outputs))
+    best = 0.0
+    found = []
+    for answer, (least, most) in ((_past_output, LINEAR), (_reached_level, RELAY)):
+        share, chance = _gain(records, name, every, answer)
+        if share < max(least, best) or chance > most:
+            continue
+        best = share
+        alone = [_gain(records, name, [j], answer)[0] for j in every]
+        leading = [outputs[j] for j in every if alone[j] >= 0.5 * max(alone)]
+        found = [Feedback(name, tuple(leading), share, chance)]
+    return found
+
+
 def _gain(
-    records: Sequence[Record], name: str, outputs: Sequence[int], *, relay: bool
+    records: Sequence[Record],
+    name: str,
+    outputs: Sequence[int],
+    answer: Callable[[Array, Array], Array],
 ) -> tuple[float, float]:
-    """Return the share of the own prediction's squared error that past outputs (with `relay`: their levels at switches) remove, and the
-    probability of as many improved blocks without feedback."""
+    """Return the share of the own prediction's squared error that an `answer` to past outputs removes, and the probability of as many
+    improved blocks without feedback."""
     own, more, target = [], [], []
     for r in records:
         u = r.inputs[name] - r.inputs[name].mean()
-        own.append(np.concatenate([_past(u, OWN, OWN), _switching(u)], axis=1))
+        own.append(np.concatenate([_past(u, OWN), _switching(u)], axis=1))
         y = r.measured[:, list(outputs)]
         y = (y - y.mean(axis=0)) / np.maximum(y.std(axis=0), 1e-300)
-        answers = [_crossing(u, x) if relay else _past(x, OUTPUT, OWN) for x in y.T]
-        more.append(np.concatenate(answers, axis=1))
+        more.append(np.concatenate([answer(u, x) for x in y.T], axis=1))
         target.append(u[OWN:])
-    widths = [max(m.shape[1] for m in parts) for parts in (own, more)]
-    A, B = (
-        np.concatenate([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in parts])
-        for parts, width in zip((own, more), widths, strict=True)
-    )
-    t = np.concatenate(target)
-    block = np.asarray(np.arange(len(t)) * BLOCKS // len(t), float)
-    before, after = (
-        _unpredicted(X, t, block) for X in (A, np.concatenate([A, B], axis=1))
-    )
-    if not before.sum() > ROUNDING * np.sum(t**2):
+    past, t = _stacked(own), np.concatenate(target)
+    block = np.arange(len(t)) * BLOCKS // len(t)
+    before = _unpredicted(past, t, block)
+    after = _unpredicted(np.concatenate([past, _stacked(more)], axis=1), t, block)
+    rounding = ROUNDING * np.sum(t**2)
+    if not before.sum() > rounding:
         return 0.0, 1.0
-    parts = [(before[block == k].sum(), after[block == k].sum()) for k in range(BLOCKS)]
-    shares = [1.0 - a / b for b, a in parts if b > ROUNDING * np.sum(t**2) / BLOCKS]
-    if len(shares) < BLOCKS / 2:
+    errors = np.array([np.bincount(block, e) for e in (before, after)])
+    errors = errors[:, errors[0] > rounding / BLOCKS]
+    shares = 1.0 - errors[1] / errors[0]
+    count = len(shares)
+    if count < BLOCKS / 2:
         return 0.0, 1.0
-    better = sum(s > 0 for s in shares)
-    chance = sum(
-        math.comb(len(shares), k) for k in range(better, len(shares) + 1)
-    ) / 2.0 ** len(shares)
-    return float(np.mean(np.maximum(shares, -1.0))), chance
+    better = int(np.sum(shares > 0))
+    ways = sum(math.comb(count, k) for k in range(better, count + 1))
+    return float(np.mean(np.maximum(shares, -1.0))), ways / 2.0**count
 
 
-def _past(x: Array, count: int, start: int) -> Array:
-    """Return the `count` samples before each sample from `start` on (samples - start, count)."""
-    return np.stack([x[start - k : len(x) - k] for k in range(1, count + 1)], axis=1)
+def _stacked(parts: Sequence[Array]) -> Array:
+    """Return the regressors of all records, one after the other; records with fewer columns have zeros."""
+    width = max(m.shape[1] for m in parts)
+    return np.concatenate([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in parts])
 
 
-def _edges(u: Array) -> list[int]:
-    """Return the first sample of each interval of an input that switches, and its length; empty for any other input."""
-    switches = np.flatnonzero(np.diff(u) != 0) + 1
-    if not 2 <= len(np.unique(u)) <= LEVELS or len(switches) < 3:
+def _past(x: Array, count: int) -> Array:
+    """Return the `count` samples before each sample from `OWN` on (samples - OWN, count)."""
+    return np.stack([x[OWN - k : len(x) - k] for k in range(1, count + 1)], axis=1)
+
+
+def _past_output(_: Array, y: Array) -> Array:
+    """Return the past samples of an output (samples - OWN, OUTPUT), to which a linear law answers."""
+    return _past(y, OUTPUT)
+
+
+def _intervals(u: Array) -> list[tuple[int, int, int]]:
+    """Return first sample, end and index of the value of each interval of an input that switches; empty for any other input."""
+    values, level = np.unique(u, return_inverse=True)
+    edges = [0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), len(u)]
+    if not 2 <= len(values) <= LEVELS or len(edges) < 5:
         return []
-    return [0, *switches.tolist(), len(u)]
+    return [(a, b, int(level[a])) for a, b in pairwise(edges)]
 
 
-def _crossing(u: Array, y: Array) -> Array:
-    """Return whether an output, or the output some time ahead along its slope, has reached the level of earlier switches (samples - OWN,
-    columns); no columns for an input that does not switch."""
-    edges, n = _edges(u), len(u)
-    if not edges:
-        return np.zeros((n - OWN, 0))
-    usual = float(np.median(np.diff(edges)))
-    k = max(1, round(usual / 16))
-    slope = np.zeros(n)
-    slope[k:] = (y[k:] - y[:-k]) / k
-    values = np.unique(u)
-    out = np.zeros((n, len(values) * len(AHEAD)))
-    for j, share in enumerate(AHEAD):
-        z = y + share * usual * slope
-        known: dict[float, list[tuple[float, float]]] = {float(v): [] for v in values}
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
-            earlier = known[float(u[a])][-CYCLES:]
-            if earlier:
-                level, middle = np.mean(earlier, axis=0)
-                column = len(AHEAD) * int(np.searchsorted(values, u[a])) + j
-                out[a:b, column] = (z[a:b] - level) * np.sign(level - middle) >= 0
-            known[float(u[a])].append((float(z[b - 1]), float(np.mean(z[a:b]))))
-    return out[OWN - 1 : n - 1]
+def _reached_level(u: Array, y: Array) -> Array:
+    """Return whether an output has reached the level of earlier switches, a column for each value of the input (samples - OWN, values); no
+    columns for an input that does not switch."""
+    intervals = _intervals(u)
+    count = 1 + max((k for _, _, k in intervals), default=-1)
+    out = np.zeros((len(u), count))
+    known: dict[int, list[tuple[float, float]]] = defaultdict(list)
+    for a, b, k in intervals:
+        if known[k]:
+            level, middle = np.mean(known[k][-CYCLES:], axis=0)
+            out[a:b, k] = (y[a:b] - level) * np.sign(level - middle) >= 0
+        known[k].append((float(y[b - 1]), float(np.mean(y[a:b]))))
+    return out[OWN - 1 : -1]
 
 
 def _switching(u: Array) -> Array:
     """Return what the past of an input that switches tells about its next switch, for each value (samples - OWN, columns): times since
     the last switch beside the last, the mean and the common interval."""
-    n, values, edges = len(u), np.unique(u), _edges(u)
-    if not edges:
-        return np.zeros((n - OWN, 0))
-    intervals = np.diff(edges)[1:-1]
-    clock, usual = int(np.gcd.reduce(intervals)), float(np.median(intervals))
-    since, last, mean = np.zeros(n), np.zeros(n), np.zeros(n)
-    known: dict[float, list[int]] = {float(v): [] for v in values}
-    for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
-        earlier = known[float(u[a])]
-        since[a:b] = np.arange(1, b - a + 1)
-        last[a:b] = earlier[-1] if earlier else usual
-        mean[a:b] = np.mean(earlier[-CYCLES:]) if earlier else usual
-        if k:  # nobody knows when the first interval began
-            earlier.append(b - a)
-    now = slice(OWN - 1, n - 1)  # known before the sample that is predicted
-    r = since[now]
+    intervals = _intervals(u)
+    if not intervals:
+        return np.zeros((len(u) - OWN, 0))
+    lengths = [b - a for a, b, _ in intervals[1:-1]]
+    clock, usual = int(np.gcd.reduce(lengths)), float(np.median(lengths))
+    # value, time since the last switch, last and mean interval with this value
+    state = np.zeros((len(u), 4))
+    known: dict[int, list[float]] = defaultdict(list)
+    for a, b, k in intervals:
+        earlier = known[k][-CYCLES:] or [usual]
+        state[a:b, 0] = k
+        state[a:b, 1] = np.arange(1, b - a + 1)
+        state[a:b, 2:] = earlier[-1], np.mean(earlier)
+        if a:  # nobody knows when the first interval began
+            known[k].append(b - a)
+    # known before the sample that is predicted
+    value, since, last, mean = state[OWN - 1 : -1].T
     columns = (
-        np.ones(len(r)),
-        r / usual,
-        (r / usual) ** 2,
-        r >= last[now],
-        r % clock == 0,
-        (r - mean[now]) / usual,
+        np.ones(len(since)),
+        since / usual,
+        (since / usual) ** 2,
+        since >= last,
+        since % clock == 0,
+        (since - mean) / usual,
     )
-    return np.stack([(u[now] == v) * c for v in values for c in columns], axis=1)
+    return np.stack([(value == k) * c for k in np.unique(state[:, 0]) for c in columns], axis=1)  # fmt: skip
 
 
-def _unpredicted(X: Array, t: Array, block: Array) -> Array:
+def _unpredicted(X: Array, t: Array, block: NDArray[np.int_]) -> Array:
     """Return squared errors (samples,) of a least-squares prediction of `t` by `X`, fitted on the blocks of the other parity."""
     out = np.empty(len(t))
     for parity in (0, 1):

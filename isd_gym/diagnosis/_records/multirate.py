@@ -7,6 +7,7 @@ channel. Stamps of another clock are late by an unknown lag (`clock_lag`).
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,11 +23,13 @@ from ...physics.simulate import pace
 from ...records.data import Table, check
 from ...records.data._quality import Scale, admit
 from ...records.loggers.recording import Recording, Signal, sampled
-from .._simulation.interpolation import OutputSampler, through
+from .._simulation.interpolation import OutputSampler, interpolated
 from .._simulation.problem import Record, simulate_from_rest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from ..._common.arrays import Array
     from ...physics.network import Network
@@ -76,35 +79,25 @@ def check_recording(
     scale: Scale,
 ) -> None:
     """Run the data checks separately for each group of channels with common time stamps; the `accepted` checks only warn."""
-    inputs = {c.name: c.spoken for c in network.inputs}
-    outputs = {c.name: c.spoken for c in network.outputs}
-    groups: dict[tuple[str, bytes], list[str]] = {}
+    groups: dict[tuple[str, bytes], dict[str, Signal]] = {}
     for name, s in recording.signals.items():
-        groups.setdefault((s.clock, s.time.tobytes()), []).append(name)
-    for names in groups.values():
-        time = recording.signals[names[0]].time
+        groups.setdefault((s.clock, s.time.tobytes()), {})[name] = s
+    for signals in groups.values():
+        time = next(iter(signals.values())).time
         even = np.linspace(time[0], time[-1], len(time))
         stray = float(np.abs(time - even).max()) / (even[1] - even[0])
         if stray > 0.1:
             notes.append(
-                f"{recording.name}: time stamps of {', '.join(names)} deviate from even spacing by {stray:.2g} intervals; "
+                f"{recording.name}: time stamps of {', '.join(signals)} deviate from even spacing by {stray:.2g} intervals; "
                 "outputs are compared at their own instants"
             )
-        table = Table(
-            even,
-            {n: recording.signals[n].values for n in names},
-            recording.name,
-            {n: recording.signals[n].unit for n in names},
-        )
-        own = [
-            {n: q for n, q in side.items() if n in names} for side in (inputs, outputs)
-        ]
-        admit(
-            table,
-            check(table, inputs=own[0], outputs=own[1], scale=scale),
-            notes,
-            accepted,
-        )
+        columns = {n: s.values for n, s in signals.items()}
+        units = {n: s.unit for n, s in signals.items()}
+        table = Table(even, columns, recording.name, units)
+        inputs = {c.name: c.spoken for c in network.inputs if c.name in signals}
+        outputs = {c.name: c.spoken for c in network.outputs if c.name in signals}
+        findings = check(table, inputs=inputs, outputs=outputs, scale=scale)
+        admit(table, findings, notes, accepted)
 
 
 def build_record(
@@ -118,24 +111,20 @@ def build_record(
 ) -> Record:
     """Return a record with outputs compared at the instants of their samples, behind a low-pass with a cutoff [Hz] or for faster outputs
     only. `lags`: delays [s] of the stamps of clocks."""
-    notes = [] if notes is None else notes
     clock = _find_reference_clock(recording, network)
     late = {**dict.fromkeys(recording.clocks, 0.0), **(lags or {}), **recording.lags}
     origin = late[clock] if clock in recording.lags else 0.0
-    stamps = {
-        n: s.time - (late[s.clock] - origin) for n, s in recording.signals.items()
+    signals = {
+        n: replace(s, time=s.time - (late[s.clock] - origin))
+        for n, s in recording.signals.items()
     }
-    grid, halves = _choose_grid(recording, network, stamps, thin, cutoff)
-    time, rate = grid.time, grid.every * grid.step
-    inputs: dict[str, Array] = {}
+    grid, halves = _choose_grid(recording.name, signals, network, thin, cutoff)
+    rate = 1.0 / (grid.every * grid.step)
     told = []
+    inputs: dict[str, Array] = {}
     for c in network.inputs:
-        s = recording.signals[c.name]
-        values, how = sampled(
-            Signal(stamps[c.name], s.values, s.unit, s.clock, s.column),
-            time,
-            c.quantity,
-        )
+        s = signals[c.name]
+        values, how = sampled(s, grid.time, c.quantity)
         inputs[c.name] = convert(values, s.unit, c.si)
         if how:
             told.append(
@@ -143,187 +132,161 @@ def build_record(
             )
     matrices, measured = [], []
     for c in network.outputs:
-        s = recording.signals[c.name]
-        pick = _build_selection(stamps[c.name], grid.instants, halves.get(c.name))
+        s, half = signals[c.name], halves.get(c.name)
+        if half is None:
+            pick = _pick_nearest(s.time, grid.instants)
+        else:
+            pick = _pass_low(s.time, grid.instants, half)
         used = np.unique(pick.indices)
-        interpolation = _build_interpolation(
-            stamps[c.name][used], grid.start, grid.step, len(time)
-        )
-        matrices.append((pick[:, used] @ interpolation).tocsr())
+        matrices.append((pick[:, used] @ _interpolate(s.time[used], grid)).tocsr())
         measured.append(pick @ convert(s.values, s.unit, c.unit))
-    if cutoff is None:
-        told += [
-            f"output {n}, logged at {1 / recording.signals[n].step:.5g} Hz, is compared at {1 / rate:.5g} Hz behind a low-pass "
-            "that the model passes, too"
-            for n in halves
-        ]
-    lines = [f"{recording.name}: {line}" for line in told]
-    notes += [line for line in lines if line not in notes]
+        if half is not None and cutoff is None:
+            told.append(
+                f"output {c.name}, logged at {1 / s.step:.5g} Hz, is compared at {rate:.5g} Hz behind a low-pass that the model passes, too"
+            )
+    if notes is not None:
+        notes += [f"{recording.name}: {line}" for line in told]
     free = tuple(k for k in recording.clocks if k != clock and k not in recording.lags)
+    clocks = np.array([signals[c.name].clock for c in network.outputs])
     return Record(
         Path(recording.name).name,
         grid.step,
         inputs,
         np.stack(measured, axis=1),
-        {},
-        grid.start,
+        start=grid.start,
         thin=grid.every,
         margin=grid.margin,
         reading=OutputSampler(tuple(matrices), bool(halves)),
         clocks=free,
-        late=tuple(
-            np.array([recording.signals[c.name].clock == k for c in network.outputs])
-            for k in free
-        ),
+        late=tuple(clocks == k for k in free),
         lags={k: late[k] for k in free},
-        size=len(time),
+        size=len(grid.time),
         source=recording,
     )
 
 
 def _find_reference_clock(recording: Recording, network: Network) -> str:
     """Return the clock of the inputs; without inputs the clock of most outputs."""
-    clocks = list(
-        dict.fromkeys(recording.signals[c.name].clock for c in network.inputs)
-    )
-    unknown = [c for c in clocks if c not in recording.lags]
-    if len(unknown) > 1 or (unknown and len(clocks) > len(unknown)):
-        told = ", ".join(
-            f"{c.name} on {recording.signals[c.name].clock}" for c in network.inputs
-        )
+    clock_of = {c.name: recording.signals[c.name].clock for c in network.inputs}
+    clocks = dict.fromkeys(clock_of.values())
+    if len(clocks) > 1 and not recording.lags.keys() >= clocks.keys():
+        told = ", ".join(f"{name} on {clock}" for name, clock in clock_of.items())
         raise InputError(
             f"{recording.name}: the inputs come from loggers with different clocks ({told}). A lag between inputs cannot be "
             'fitted: state the lag of each logger as "lag" in the map'
         )
     if clocks:
-        return clocks[0]
+        return next(iter(clocks))
     every = [recording.signals[c.name].clock for c in network.outputs]
     return max(dict.fromkeys(every), key=every.count)
 
 
 def _choose_grid(
-    recording: Recording,
+    name: str,
+    signals: Mapping[str, Signal],
     network: Network,
-    stamps: Mapping[str, Array],
     thin: int,
     cutoff: float | None,
 ) -> tuple[_Grid, dict[str, float]]:
-    """Return the grid of a recording with time stamps [s] by channel, and half the length [s] of the low-pass by filtered output."""
-    outputs, inputs = [
-        [c.name for c in side] for side in (network.outputs, network.inputs)
-    ]
-    steps = {n: recording.signals[n].step for n in stamps}
+    """Return the grid of a recording, and half the length [s] of the low-pass by filtered output."""
+    steps = {n: s.step for n, s in signals.items()}
+    outputs = [c.name for c in network.outputs]
     slow = max(steps[n] for n in outputs)
-    base = min(inputs or outputs, key=lambda n: steps[n])
-    count = max(1, round(slow / min(min(steps.values()), slow)))
+    count = max(1, round(slow / min(steps.values())))
     step = slow / count
-    on_input = (
-        base in inputs and abs(steps[base] * count / slow - 1) < 0.01
-    )  # the grid is that of an input
-    if on_input:
+    start = max(float(s.time[0]) for s in signals.values())
+    stop = min(float(s.time[-1]) for s in signals.values())
+    base = min((c.name for c in network.inputs), key=lambda n: steps[n], default="")
+    if base and abs(steps[base] / step - 1) < 0.01:  # the grid is that of an input
         step = steps[base]
+        stamps = signals[base].time
+        start = float(stamps[np.searchsorted(stamps, start - 1e-3 * step)])
     every = max(count, thin)
     rate = every * step
-    halves = {
-        n: HALF / (cutoff or 0.5 * CUTOFF / rate)
-        for n in outputs
-        if cutoff or steps[n] < PICKED * rate
-    }
-    reach = max([halves.get(n, 0.6 * steps[n]) for n in outputs]) + 3 * step
-    margin = math.ceil(reach / rate)
-    start = max(float(t[0]) for t in stamps.values())
-    stop = min(float(t[-1]) for t in stamps.values())
-    if on_input:
-        t = stamps[base]
-        start = float(t[np.searchsorted(t, start - 1e-3 * step)])
+    reach, halves = 0.0, {}
+    for n in outputs:
+        if cutoff or steps[n] < PICKED * rate:
+            halves[n] = HALF / (cutoff or 0.5 * CUTOFF / rate)
+        reach = max(reach, halves.get(n, 0.6 * steps[n]))
+    margin = math.ceil((reach + 3 * step) / rate)
     size = int((stop - start) / rate + 1e-6) - 2 * margin + 1
     if size < LEAST:
         raise InputError(
-            f"{recording.name}: its channels have only {max(stop - start, 0.0):.4g} s in common"
+            f"{name}: its channels have only {max(stop - start, 0.0):.4g} s in common"
         )
     return _Grid(start, step, every, margin, size), halves
 
 
-def _build_selection(time: np.ndarray, instants: np.ndarray, half: float | None) -> Any:
-    """Return the matrix (instants, samples) of the nearest sample, or of a low-pass of `half` [s] to either side."""
-    n = len(time)
-    if half is None:
-        near = np.clip(np.searchsorted(time, instants), 1, n - 1)
-        near = near - (instants - time[near - 1] < time[near] - instants)
-        return csr_matrix(
-            (np.ones(len(instants)), near, np.arange(len(instants) + 1)),
-            shape=(len(instants), n),
-        )
+def _pick_nearest(time: Array, instants: Array) -> Any:
+    """Return the matrix (instants, samples) of the nearest sample."""
+    near = np.clip(np.searchsorted(time, instants), 1, len(time) - 1)
+    near = near - (instants - time[near - 1] < time[near] - instants)
+    return _matrix(np.ones((len(near), 1)), near[:, None], len(time))
+
+
+def _pass_low(time: Array, instants: Array, half: float) -> Any:
+    """Return the matrix (instants, samples) of a low-pass of `half` [s] to either side."""
     first = np.searchsorted(time, instants - half)
-    most = int((np.searchsorted(time, instants + half) - first).max())
-    index = np.minimum(first[:, None] + np.arange(most), n - 1)
+    count = int((np.searchsorted(time, instants + half) - first).max())
+    index = first[:, None] + np.arange(count)
+    is_inside = index < len(time)
+    index = np.minimum(index, len(time) - 1)
     x = (time[index] - instants[:, None]) / half
-    inside = np.arange(most)[None, :] + first[:, None] < n
     kaiser = np.i0(6.0 * np.sqrt(np.clip(1 - x**2, 0, None)))
-    weight = np.sinc(2 * HALF * x) * kaiser * (np.abs(x) < 1) * inside
-    weight /= weight.sum(axis=1, keepdims=True)
-    rows = np.repeat(np.arange(len(instants)), most)
-    made = csr_matrix((weight.ravel(), (rows, index.ravel())), shape=(len(instants), n))
-    made.eliminate_zeros()
-    return made
+    weight = np.sinc(2 * HALF * x) * kaiser * (np.abs(x) < 1) * is_inside
+    return _matrix(weight / weight.sum(axis=1, keepdims=True), index, len(time))
 
 
-def _build_interpolation(time: Array, start: float, step: float, size: int) -> Any:
+def _interpolate(time: Array, grid: _Grid) -> Any:
     """Return the matrix (instants, grid) of cubic interpolation through four neighbours on the grid."""
-    place = (time - start) / step
-    first = np.clip(np.floor(place).astype(int) - 1, 0, size - 4)
+    place = (time - grid.start) / grid.step
+    first = np.clip(np.floor(place).astype(int) - 1, 0, len(grid.time) - 4)
     u = place - first
-    nodes = np.arange(4.0)
     weight = np.ones((len(time), 4))
-    for k in range(4):
-        for m in range(4):
-            if m != k:
-                weight[:, k] *= (u - nodes[m]) / (nodes[k] - nodes[m])
+    for k, m in itertools.permutations(range(4), 2):
+        weight[:, k] *= (u - m) / (k - m)
     weight[np.abs(weight) < 1e-7] = 0.0
-    made = csr_matrix(
-        (
-            weight.ravel(),
-            (first[:, None] + np.arange(4)).ravel(),
-            4 * np.arange(len(time) + 1),
-        ),
-        shape=(len(time), size),
-    )
+    return _matrix(weight, first[:, None] + np.arange(4), len(grid.time))
+
+
+def _matrix(weight: Array, column: NDArray[np.int_], width: int) -> Any:
+    """Return the sparse matrix with weights (rows, count) in columns (rows, count)."""
+    rows, count = weight.shape
+    ends = count * np.arange(rows + 1)
+    made = csr_matrix((weight.ravel(), column.ravel(), ends), shape=(rows, width))
     made.eliminate_zeros()
     return made
 
 
 def check_sampling_rates(record: Record, network: Network) -> None:
     """Refuse records with an output sampled below twice the bandwidth of its motion, simulated with the nominal model."""
-    signals = record.source.signals if record.source is not None else {}
-    steps = [signals[c.name].step if signals else record.step for c in network.outputs]
-    periods = [2 * math.pi * pace(y, record.interval) for y in record.measured.T]
-    slow = [
-        j
-        for j, (step, period) in enumerate(zip(steps, periods, strict=True))
-        if step > 1.9 * record.step or step * FEW > period
-    ]
-    if not slow or not network.inputs:
+    steps = np.full(len(network.outputs), record.step)
+    if record.source is not None:
+        steps[:] = [record.source.signals[c.name].step for c in network.outputs]
+    paces = np.array([pace(y, record.interval) for y in record.measured.T])
+    is_slow = (steps > 1.9 * record.step) | (steps * FEW > 2 * math.pi * paces)
+    if not is_slow.any() or not network.inputs:
         return
-    held = {c.name for c in network.inputs if c.quantity in HELD}
     inputs = {
-        n: np.repeat(x, FINER)[: FINER * (len(x) - 1) + 1]
-        if n in held
-        else through(x, FINER)
-        for n, x in record.inputs.items()
+        c.name: interpolated(
+            record.inputs[c.name],
+            FINER,
+            record.step,
+            held=c.quantity in HELD,
+            sparse=True,
+        )
+        for c in network.inputs
     }
-    fine = replace(
-        record.unread(), step=record.step / FINER, inputs=inputs, slopes={}, size=0
-    )
+    step = record.step / FINER
+    fine = replace(record.unread(), step=step, inputs=inputs, slopes={}, size=0)
     simulated = simulate_from_rest(network, fine)
     if simulated is None:
         return
-    for j in slow:
+    for j in np.flatnonzero(is_slow):
         y = simulated[:, j]
         if not y.std() > 0:
             continue
-        f, density = welch(
-            y - y.mean(), 1 / fine.step, nperseg=min(len(y), 4096 * FINER)
-        )
+        f, density = welch(y - y.mean(), 1 / step, nperseg=min(len(y), 4096 * FINER))
         total = np.cumsum(density)
         edge = float(np.interp(EDGE * total[-1], total, f))
         if 2.0 * edge * steps[j] > 1.0:
