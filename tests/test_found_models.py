@@ -10,7 +10,7 @@ from program import assert_one_line, printed, read_json, refused, run
 from isd_gym import ISDSuspensionEnv, Network, Table, simulate
 from isd_gym.diagnosis import Quantity
 from isd_gym.diagnosis._selection.uncertainty import with_posterior
-from isd_gym.diagnosis.simulation._prediction_errors import (
+from isd_gym.diagnosis.simulation._record_fits import (
     prediction_errors,
 )
 from isd_gym.physics._batch import posterior_ranges, ranges
@@ -50,7 +50,7 @@ def files(tmp_path):
 def test_the_error_of_the_true_model_is_the_noise_and_that_of_another_one_is_not(files):
     records = [files / "a.csv", files / "b.csv"]
     own, other = (
-        prediction_errors(records, files / m).rows for m in ("rig.json", "other.json")
+        prediction_errors(records, files / m).errors for m in ("rig.json", "other.json")
     )
     assert [(r.record, r.channel) for r in own] == [
         (n, "travel") for n in ("a", "b", "all records")
@@ -74,7 +74,7 @@ def test_the_true_model_of_a_long_stiffening_decay_errs_by_noise(tmp_path):
     write_table(
         tmp_path / "decay.csv", Table(time, {"velocity": velocity + noise}, "decay")
     )
-    (row,) = prediction_errors([tmp_path / "decay.csv"], rig).rows
+    (row,) = prediction_errors([tmp_path / "decay.csv"], rig).errors
     assert row.rms == pytest.approx(1e-3, rel=0.1)
 
 
@@ -83,7 +83,7 @@ def test_the_noise_of_an_irregular_motion_is_no_more_than_the_error():
     push = 40.0 * np.random.default_rng(0).standard_normal(len(TIME))
     rig = oscillator("felt acceleration mass")
     columns = {"push": push} | simulate(rig, TIME, {"push": push})
-    (row,) = prediction_errors([Table(TIME, columns, "push")], rig).rows
+    (row,) = prediction_errors([Table(TIME, columns, "push")], rig).errors
     assert row.noise == row.nrmse < 0.01
 
 

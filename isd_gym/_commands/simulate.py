@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,7 +25,7 @@ from ._options import (
 from .console import check_file, printer, tell, write_json
 
 if TYPE_CHECKING:
-    from ..diagnosis.simulation._prediction_errors import PredictionErrors
+    from ..diagnosis.simulation._record_fits import PredictionErrors
     from ..physics.network import Network
 
 
@@ -61,8 +62,8 @@ def command(
     initial: Annotated[
         list[str] | None,
         option(
-            "--initial NODE=VALUE|FILE|fit",
-            "Initial displacement or velocity of a node in SI units (body=0.01, body.velocity=0.2), or a JSON file. May be "
+            "--initial NODE=VALUE|fit",
+            "Initial displacement or velocity of a node in SI units (body=0.01, body.velocity=0.2). May be "
             "repeated. fit: fitted to the model's outputs in DATA.",
         ),
     ] = None,
@@ -106,7 +107,7 @@ def _compare(
     json_file: Path | None,
 ) -> None:
     """Print the errors of a model on records, and write them to the file of --json."""
-    from ..diagnosis.simulation._prediction_errors import prediction_errors
+    from ..diagnosis.simulation._record_fits import prediction_errors
     from ..records.loggers.record_reading import records_of
 
     check_records(data, [])
@@ -118,7 +119,7 @@ def _compare(
     for note in found.notes:
         typer.echo(plain(note, 400), err=True)
     _print_errors(found)
-    write_json(json_file, found.to_dict())
+    write_json(json_file, asdict(found))
 
 
 def _print_errors(found: PredictionErrors) -> None:
@@ -133,7 +134,7 @@ def _print_errors(found: PredictionErrors) -> None:
     for head in ("RMS error", "of deviation", "noise"):
         made.add_column(head, justify="right", no_wrap=True)
     last = ""
-    for row in found.rows:
+    for row in found.errors:
         made.add_row(
             Text(plain(row.record, 30) if row.record != last else ""),
             Text(plain(row.channel, 40)),
@@ -199,7 +200,7 @@ def _write(
         )
     table, start = pieces[0], None
     if fitted:
-        from ..diagnosis.simulation._initial_state_fit import initial_state
+        from ..diagnosis.simulation._record_fits import initial_state
 
         begun = initial_state(table, network, outputs=measured)
         table = Table(begun.time, dict(begun.inputs), str(data))

@@ -6,14 +6,14 @@ from ..._common.lazy import lazy
 
 TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
-    from ._initial_state_fit import FittedInitialState as FittedInitialState
-    from ._initial_state_fit import initial_state as initial_state
     from ._motions import state_of as state_of
+    from ._record_fits import FittedInitialState as FittedInitialState
+    from ._record_fits import initial_state as initial_state
 
 #: public name -> its module
 _HOME = {
-    "FittedInitialState": "_initial_state_fit",
-    "initial_state": "_initial_state_fit",
+    "FittedInitialState": "_record_fits",
+    "initial_state": "_record_fits",
     "state_of": "_motions",
 }
 __all__ = [*_HOME]

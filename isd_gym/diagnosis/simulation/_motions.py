@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..._common.errors import InputError, shown
-from ..._common.inputs import number, read_json
 from ...physics.network import assemble
 
 if TYPE_CHECKING:
@@ -25,29 +22,13 @@ LOOSE = 1e-6  # weight of "at rest" for nodes without a given motion
 def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
     """Return the motions that ``--initial`` names: displacement [m] and velocity [m/s] by node.
 
-    Words are ``NODE=VALUE`` [m], ``NODE.velocity=VALUE`` [m/s], or a JSON file {node: {displacement, velocity}}.
+    Words are ``NODE=VALUE`` [m] or ``NODE.velocity=VALUE`` [m/s].
     """
     out: dict[str, dict[str, float]] = {}
     for word in words:
-        name, joined, value = word.partition("=")
-        if not joined:
-            if not os.path.exists(word) and "." not in word:  # a node without a value
-                raise InputError(
-                    f"--initial {shown(word)}: give NODE=VALUE or NODE.velocity=VALUE (SI units), a file, or fit"
-                )
-            data = read_json(Path(word))
-            if not isinstance(data, dict) or not all(
-                isinstance(v, dict) for v in data.values()
-            ):
-                raise InputError(
-                    f"{word}: must be an object {{node: {{displacement, velocity}}}}"
-                )
-            for node, motion in data.items():
-                for key, x in motion.items():
-                    _put(out, node, key, number(x, f"{word}: {shown(node)}"), word)
-            continue
-        node, dot, key = name.rpartition(".")
-        if not dot or key not in MOTION:
+        name, _, value = word.partition("=")
+        node, _, key = name.rpartition(".")
+        if not node or key not in MOTION:
             node, key = name, "displacement"
         try:
             x = float(value)
@@ -55,20 +36,10 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
             x = math.nan
         if not math.isfinite(x):
             raise InputError(
-                f"--initial {word}: give NODE=VALUE or NODE.velocity=VALUE in SI units, or a file"
+                f"--initial {shown(word)}: give NODE=VALUE or NODE.velocity=VALUE (SI units), or fit"
             )
-        _put(out, node, key, x, word)
+        out.setdefault(node, {})[key] = x
     return out
-
-
-def _put(
-    out: dict[str, dict[str, float]], node: str, key: str, value: float, word: str
-) -> None:
-    if key not in MOTION:
-        raise InputError(
-            f"--initial {word}: no {shown(key)} of a node (there are {', '.join(MOTION)})"
-        )
-    out.setdefault(node, {})[key] = value
 
 
 def state_of(
@@ -102,14 +73,13 @@ def state_of(
             raise InputError(
                 f"--initial: {shown(node)} {why} (free are {', '.join(free)})"
             )
-    told = np.array(
-        [motions.get(node, {}).get(key, math.nan) for key in MOTION for node in free]
-    )
+    told = [motions.get(n, {}).get(key, math.nan) for key in MOTION for n in free]
     known = ~np.isnan(told)
-    b, w = np.where(known, told, 0.0) - given, np.where(known, 1.0, LOOSE)
-    state = np.linalg.lstsq(rows * w[:, None], b * w, rcond=None)[0]
-    off = np.abs(rows @ state - b)[known]
-    size = max(float(np.abs(b[known]).max(initial=0.0)), 1e-12)
+    weight = np.where(known, 1.0, LOOSE)
+    target = np.where(known, told, 0.0) - given
+    state = np.linalg.lstsq(rows * weight[:, None], target * weight, rcond=None)[0]
+    off = np.abs(rows @ state - target)[known]
+    size = np.abs(target[known]).max(initial=1e-12)
     if off.max(initial=0.0) > 1e-3 * size:
         raise InputError(
             "--initial: no state of the model has these motions (a node without mass follows its neighbours)"
@@ -126,17 +96,13 @@ def free_motions(
     free = [n for n in asm.network.nodes if n not in asm.network.moved_nodes]
     x, r, v = (asm.columns(part) for part in ("x", "r", "v"))
     rows = np.vstack([asm.position[: len(free)], asm.velocity[: len(free)]])
-    lead = [
-        np.asarray(inputs[c.name], float)
-        for c in network.inputs
-        if c.quantity == "displacement"
-    ]
+    kinds = [c.name for c in network.inputs if c.quantity == "displacement"]
+    first = np.array([np.asarray(inputs[n], float)[:2] for n in kinds])
     given = np.zeros(len(rows))
-    if len(lead) == r.stop - r.start:
-        given = rows[:, r] @ [u[0] for u in lead] + rows[:, v] @ [
-            (u[1] - u[0]) / step for u in lead
-        ]
-    return free, rows[:, x], np.asarray(given, dtype=np.float64)
+    if len(kinds) == r.stop - r.start > 0:
+        speed = (first[:, 1] - first[:, 0]) / step
+        given = rows[:, r] @ first[:, 0] + rows[:, v] @ speed
+    return free, rows[:, x], given
 
 
 def motions_at(
