@@ -75,7 +75,7 @@ isd_gym.diagnosis
     diagnose hypotheses
 isd_gym.diagnosis.result
     Diagnosis Effect LawSet Place Quantity Trace
-    also BestCandidate BestTable FOLDER Over Remainder SCHEMA ScreenedPlace Stretches Tabulated
+    also BestCandidate FOLDER Remainder SCHEMA ScreenedPlace Stretches
 isd_gym.diagnosis.simulation
     FittedInitialState initial_state state_of
 isd_gym.env
@@ -196,14 +196,14 @@ isd_gym.view.rendering.symbols
 isd_gym.view.rendering.wheel
     also METRES RADIUS RUBBER RUBBER_FAR SQUASH WIDTH carrier side_rim tyre
 isd_gym.view.report
-    check_report check_target notebook_page score_report write_report
+    check_report check_target score_report write_report
 isd_gym.view.report.charts
     also Axis COLUMNS Chart Dots Item Line MOST_DOTS Marks Panel QUIET Rule Span Ticks decades draw log_ticks
     picture
 isd_gym.view.report.diagnosis
     also AFTER BEFORE FIGURES MEASURED MOST_CHANNELS MOST_LOOPS OVER PERIODS RELATIONS STAGES STRETCH Scale
     View WORST check_target draw_gap draw_law draw_loops draw_parameters draw_spectra draw_time learned
-    notebook_page write_report
+    write_report
 isd_gym.view.report.forces
     also Curve GRID Law Loops Missing TAPER laws_of measured_loops missing_force
 isd_gym.view.report.plots

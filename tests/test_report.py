@@ -30,8 +30,9 @@ from isd_gym.diagnosis import (
     Quantity,
     Trace,
 )
+from isd_gym.diagnosis._selection.free_force import Tabulated
 from isd_gym.diagnosis._verdict.gates import gates_of
-from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace, Tabulated
+from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace
 from isd_gym.physics.elements import TYPES, CoulombFriction
 from isd_gym.records import schemas
 from isd_gym.view.report import charts, plots, steps

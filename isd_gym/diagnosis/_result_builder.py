@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -32,7 +32,6 @@ from .result import (
     Diagnosis,
     Effect,
     LawSet,
-    Quantity,
     Remainder,
     ScreenedPlace,
     Stretches,
@@ -47,13 +46,16 @@ if TYPE_CHECKING:
     from ..records.data import Table
     from ._estimation.gauss_newton import Fit
     from ._estimation.structure import Structure
+    from ._records.feedback import Feedback
     from ._selection.answer import Answer
     from ._selection.held_out_table import Row
     from ._selection.law_sets import Search
+    from ._selection.uncertainty import Quantity
+    from ._simulation.problem import Problem
     from ._verdict.evidence import Measurements
+    from ._verdict.explanation import Place
     from ._verdict.findings import Finding
     from ._verdict.gates import Decision
-    from ._workflow import Workflow
 
 
 T = TypeVar("T")
@@ -68,60 +70,64 @@ class ResultBuilder:
     search: Search
     answer: Answer
     measured: Measurements
-    flow: Workflow
-    #: parts of the result that could not be made
-    lost: list[str] = field(default_factory=list)
+    decision: Decision
+    #: the whole records
+    whole: Problem
+    #: time from which each whole record takes no part in fitting [s]
+    held_from: Sequence[float]
+    #: inputs that follow from outputs
+    feedback: tuple[Feedback, ...]
+    #: notes in words, also on parts of the result that could not be made
+    notes: list[str]
 
-    def build(self, decision: Decision, over: Stretches | None = None) -> Diagnosis:
+    def build(self, over: Stretches | None = None) -> Diagnosis:
         """Build the result; `over` describes the segments over which records were compared, None for whole records."""
-        search, answer, measured = self.search, self.answer, self.measured
-        p, network, criteria = search.problem, search.problem.network, search.criteria
-        verdict, refit, foremost = decision.verdict, answer.refit, answer.foremost
-        is_named, is_ambiguous = verdict == "missing_effect", verdict == "ambiguous"
+        search, measured, decision = self.search, self.measured, self.decision
+        problem, network = search.problem, search.problem.network
+        verdict, refit, final = decision.verdict, self.answer.refit, self.answer.foremost  # fmt: skip
+        is_named = verdict == "missing_effect"
         free = self._free_force() if verdict == "unknown_effect" else FreeForce()
-        findings = (
-            self._attempt("the probabilities", self._findings, verdict, free) or ()
-        )
+        findings = self._attempt("the probabilities", self._findings, free) or ()
         completes = verdict == "unknown_effect" and self._is_supported(free)
-        if completes:
-            free = FreeForce(free.best)
-        # the likeliest law of several that the records do not tell apart, or the best supported one
-        final = free.row or (
-            foremost if is_named or is_ambiguous or completes else refit
-        )
+        if not completes and free.row is not None:
+            final = free.row
+        elif not completes and verdict not in ("missing_effect", "ambiguous"):
+            final = refit
         quantities = posterior = measured.quantities
         if not is_named:
-            quantities = (
-                self._attempt("the intervals", intervals, search.evaluator, refit.fit)
-                or {}
-            )
-        if final is not foremost:
-            posterior = quantities if final is refit else {}
-        effects = self._effects(measured.quantities, findings) if is_named else []
+            found = self._attempt("the intervals", intervals, search.evaluator, refit.fit)  # fmt: skip
+            quantities = found or {}
+        if final is refit:
+            posterior = quantities
+        elif final is not self.answer.foremost:
+            posterior = {}
+        effects = self._effects(findings) if is_named else ()
         rows = self._errors(final)
         noise = measured.noise * search.evaluator.validation_deviation
-        test, inputs = self._next_test(noise) if is_ambiguous else (None, None)
+        test, inputs = None, None
+        if verdict == "ambiguous":
+            test, inputs = self._next_test(noise)
+        where: tuple[Place, ...] = ()
+        if verdict != "no_discrepancy":
+            where = locate_errors(problem, refit.fit, noise)
         fitted = with_sensor_offsets(final.fit.network, final.fit.structure.offsets)
+        own = {path: q for path, q in quantities.items() if path in network.parameters}
         result = Diagnosis(
             verdict=verdict,
             summary="",
-            tabulated=free.tabulated,
+            tabulated=None if completes else free.tabulated,
             best_table=free.best,
-            best_candidate=self._rejected(decision, rows, completes),
+            best_candidate=self._rejected(rows, completes),
             reason=decision.reason,
             remainder=self._remainder(rows) if is_named else None,
             stretches=over,
-            closed_loop=self.flow.feedback,
-            effects=tuple(effects),
+            closed_loop=self.feedback,
+            effects=effects,
             findings=findings,
             sets=self.sets,
-            where=()
-            if verdict == "no_discrepancy"
-            else locate_errors(p, refit.fit, noise),
+            where=where,
             places=self._places(),
-            parameters={
-                path: q for path, q in quantities.items() if path in network.parameters
-            },
+            parameters=own,
             gap={stage: self._by_channel(row) for stage, row in rows.items()},
             closed=None if final is refit else closed(rows),
             gates=decision.gates,
@@ -129,17 +135,18 @@ class ResultBuilder:
             test=inputs,
             base=network,
             refitted=refit.fit.network,
-            model=self._described(
-                with_posterior(fitted, posterior), decision, completes
-            ),
+            model=self._described(with_posterior(fitted, posterior), completes),
             traces=self._traces(final),
-            notes=tuple(dict.fromkeys((*self.flow.notes, *self.lost))),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
-            criteria=criteria,
+            criteria=search.criteria,
             settings=search.settings,
         )
-        result = replace(result, not_tried=tuple(search.clock.left_out))
+        result = replace(
+            result,
+            notes=tuple(dict.fromkeys(self.notes)),
+            not_tried=tuple(search.clock.left_out),
+        )
         return replace(result, summary=summary_of(result.to_dict()))
 
     def _is_supported(self, free: FreeForce) -> bool:
@@ -149,22 +156,21 @@ class ResultBuilder:
         if not best.members or not best.is_sound or best.error >= refit.error:
             return False
         falls = refit.test**2 - best.test**2
-        is_material = (
-            np.sum(falls) > 0.0 and np.max(falls) >= self.search.criteria.material**2
-        )
-        return bool(is_material) and (free.row is None or best.error < free.row.error)
+        is_material = np.max(falls) >= self.search.criteria.material**2
+        errs_less = free.row is None or best.error < free.row.error
+        return bool(np.sum(falls) > 0.0 and is_material and errs_less)
 
-    def _described(
-        self, network: Network, decision: Decision, completes: bool
-    ) -> Network:
+    def _described(self, network: Network, completes: bool) -> Network:
         """Return a model with a description of its law as uncertain."""
-        if decision.verdict != "ambiguous" and not completes:
+        if self.decision.verdict == "ambiguous":
+            kind = "Likeliest"
+        elif completes:
+            kind = "Best supported"
+        else:
             return network
         law = "; ".join(h.label for h in self.answer.foremost.fit.hypotheses)
-        text = (
-            f"{'Best supported' if completes else 'Likeliest'} law, not certain: {law}."
-        )
-        return replace(network, description=f"{network.description} {text}".strip())
+        text = f"{network.description} {kind} law, not certain: {law}."
+        return replace(network, description=text.strip())
 
     def _attempt(self, what: str, make: Callable[..., T], *args: Any) -> T | None:
         """Return a part of the result, or None and a note where its simulation breaks down or the time is up."""
@@ -175,53 +181,48 @@ class ResultBuilder:
         except TimeUp:
             clock.leave_out(what)
         except BROKEN as error:
-            self.lost.append(f"{what} could not be made: {error}")
+            self.notes.append(f"{what} could not be made: {error}")
         return None
 
-    # -- decision -----------------------------------------------------------------------------------------
     def _free_force(self) -> FreeForce:
         """Fit a table of the missing force; none under feedback, where it would draw the controller's law."""
-        if self.flow.feedback:
+        if self.feedback:
             return FreeForce()
-        self.flow.say("no known law explains it: following the missing force")
-        given = self.search.evaluator, self.answer.refit, self.search.criteria
-        return (
-            self._attempt("a table of the missing force", fit_free_force, *given)
-            or FreeForce()
-        )
+        search = self.search
+        search.say("no known law explains it: following the missing force")
+        given = search.evaluator, self.answer.refit, search.criteria
+        found = self._attempt("a table of the missing force", fit_free_force, *given)
+        return found or FreeForce()
 
-    def _findings(self, verdict: str, free: FreeForce) -> tuple[Finding, ...]:
+    def _findings(self, free: FreeForce) -> tuple[Finding, ...]:
         """Return the findings, with the free force among the sets where one was fitted."""
-        answer = self.answer
-        if (
-            verdict in ("no_discrepancy", "parameters_only")
-            or not answer.foremost.members
-        ):
+        answer, verdict = self.answer, self.decision.verdict
+        is_agreement = verdict in ("no_discrepancy", "parameters_only")
+        if is_agreement or not answer.foremost.members:
             return ()
-        named: frozenset[Statement] = frozenset()
+        named = set()
         if verdict == "missing_effect":
-            certain = zip(answer.foremost.members, answer.certain, strict=True)
-            named = frozenset(
-                Statement(m.place, m.mechanism, m.effect)
-                for m, is_so in certain
-                if is_so
-            )
+            for m, is_certain in zip(
+                answer.foremost.members, answer.certain, strict=True
+            ):
+                if is_certain:
+                    named.add(Statement(m.place, m.mechanism, m.effect))
         # a name under feedback is no multiple of the controller's input
-        is_doubted = not answer.band or (bool(self.flow.feedback) and not named)
-        found = Finder(
+        is_doubted = not answer.band or (bool(self.feedback) and not named)
+        finder = Finder(
             self.search.criteria,
             weigh(answer, free.row.fit if free.row else None),
             self.measured.evidence,
             self.measured.quantities,
-            named,
+            frozenset(named),
             is_doubted,
-        ).find()
+        )
         out = []
-        for f in found:
-            place = tuple(sorted(f.place))
+        for f in finder.find():
+            kind = (f.kind, tuple(sorted(f.place)))
             rows = zip(self.sets, answer.band, strict=False)
-            own = [s.file for s, row in rows if (f.kind, place) in row.kinds]
-            out.append(replace(f, sets=tuple(own)))
+            files = [s.file for s, row in rows if kind in row.kinds]
+            out.append(replace(f, sets=tuple(files)))
         return tuple(out)
 
     @functools.cached_property
@@ -243,7 +244,6 @@ class ResultBuilder:
             out.append(found)
         return tuple(out)
 
-    # -- parts of the result ------------------------------------------------------------------------------
     def _errors(self, final: Row) -> dict[str, Array]:
         """Return the NRMSE on the test records by stage, (channels,) each."""
         evaluator = self.search.evaluator
@@ -274,66 +274,51 @@ class ResultBuilder:
                 )
         return tuple(out.values())
 
-    def _effects(
-        self, quantities: Mapping[str, Quantity], findings: Sequence[Finding]
-    ) -> list[Effect]:
+    def _effects(self, findings: Sequence[Finding]) -> tuple[Effect, ...]:
         """Return the certain effects of the foremost set."""
         row, network, out = self.answer.foremost, self.search.problem.network, []
-        fit = row.fit
-        for h, element, m, is_certain in zip(
-            fit.hypotheses,
-            fit.structure.names,
+        chances = {}
+        for f in findings:
+            for law in f.laws:
+                chances[f.kind, f.place, law.effect] = law.probability
+        rows = zip(
+            row.fit.hypotheses,
+            row.fit.structure.names,
             row.members,
             self.answer.certain,
             strict=True,
-        ):
+        )
+        for h, element, member, is_certain in rows:
             if not is_certain:
                 continue
-            parts = [(*path.rpartition("."), q) for path, q in quantities.items()]
-            own = {key: q for owner, _, key, q in parts if owner == element}
-            sums = {key: self.measured.sums.get(f"{element}.{key}") for key in own}
-            totals = {key: q for key, q in sums.items() if q is not None}
-            channel = h.where[0] if h.place == "channel" else None
-            laws = [
-                x
-                for f in findings
-                if (f.kind, f.place) == m.kind
-                for x in f.laws
-                if x.effect == h.effect
-            ]
-            chance = laws[0].probability if laws else math.nan
-            out.append(
-                Effect(
-                    h.effect,
-                    owner_pair(network, h),
-                    channel,
-                    chance,
-                    own,
-                    element,
-                    h.behind,
-                    totals,
-                )
+            found = Effect(
+                effect=h.effect,
+                between=owner_pair(network, h),
+                channel=h.where[0] if h.place == "channel" else None,
+                confidence=chances.get((*member.kind, h.effect), math.nan),
+                parameters=_of_owner(element, self.measured.quantities),
+                element=element,
+                behind=h.behind,
+                totals=_of_owner(element, self.measured.sums),
             )
-        return out
+            out.append(found)
+        return tuple(out)
 
     def _next_test(self, noise: Array) -> tuple[dict[str, Any] | None, Table | None]:
         """Return the test that would decide between sets, and its inputs."""
-        self.flow.say("designing the test that would decide")
-
-        def design() -> tuple[dict[str, Any], Table] | None:
-            whole = self.flow.whole
-            found = next_experiment(whole, [r.fit for r in self.answer.band], noise)
-            if found is None:
-                return None
-            return found.to_dict(whole.network), found.table(whole.network)
-
-        return self._attempt("the next test", design) or (None, None)
+        self.search.say("designing the test that would decide")
+        fits = [r.fit for r in self.answer.band]
+        found = self._attempt("the next test", next_experiment, self.whole, fits, noise)
+        if found is None:
+            return None, None
+        network = self.whole.network
+        return found.to_dict(network), found.table(network)
 
     def _rejected(
-        self, decision: Decision, rows: Mapping[str, Array], completes: bool
+        self, rows: Mapping[str, Array], completes: bool
     ) -> BestCandidate | None:
         """Return the foremost set if it is not named."""
-        best = self.answer.foremost
+        best, decision = self.answer.foremost, self.decision
         if decision.verdict == "missing_effect" or not best.members:
             return None
         stages = {k: rows[k] for k in ("before", "refit")} | {"after": best.test}
@@ -358,47 +343,50 @@ class ResultBuilder:
 
     def _traces(self, final: Row) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
-        whole, out = self.flow.whole, []
+        whole, out = self.whole, []
         nominal = base_structure(whole.network)
         models = [(nominal, nominal.start)]
         models += [(row.fit.structure, row.fit.x) for row in (self.answer.refit, final)]
         for i, record in enumerate(whole.records):
-            before, refit, after = (
-                dict(zip(whole.channels, self._trace(*model, i).T, strict=True))
-                for model in models
+            outputs = [record.measured, *(self._trace(i, *model) for model in models)]
+            measured, before, refit, after = (
+                dict(zip(whole.channels, y.T, strict=True)) for y in outputs
             )
-            measured = {c: record.measured[:, j] for j, c in enumerate(whole.channels)}
-            inputs = {k: record.seen(v) for k, v in record.inputs.items()}
-            since = self.flow.held_from[i]
-            cut = since if math.isfinite(since) else None
-            held_out = since == -math.inf
-            out.append(
-                Trace(
-                    record.name,
-                    held_out,
-                    record.time,
-                    inputs,
-                    measured,
-                    before,
-                    refit,
-                    after,
-                    cut,
-                )
+            since = self.held_from[i]
+            trace = Trace(
+                name=record.name,
+                held_out=since == -math.inf,
+                time=record.time,
+                inputs={k: record.seen(v) for k, v in record.inputs.items()},
+                measured=measured,
+                before=before,
+                refit=refit,
+                after=after,
+                held_from=since if math.isfinite(since) else None,
             )
+            out.append(trace)
         return tuple(out)
 
-    def _trace(self, structure: Structure, x: Array, index: int) -> Array:
+    def _trace(self, index: int, structure: Structure, x: Array) -> Array:
         """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
-        fitter = Fitter(self.flow.whole, white_weights(self.search.least_noise))
+        record = self.whole.records[index]
+        fitter = Fitter(self.whole, white_weights(self.search.least_noise))
         try:
             return fitter.follow(structure, x, [index], iterations=3).outputs[index]
         except BROKEN:
             pass
-        name = self.flow.whole.records[index].name
-        self.lost.append(
-            f"a model does not simulate the whole record {name}: no curve is drawn there"
+        self.notes.append(
+            f"a model does not simulate the whole record {record.name}: no curve is drawn there"
         )
-        return np.full_like(self.flow.whole.records[index].measured, np.nan)
+        return np.full_like(record.measured, np.nan)
+
+
+def _of_owner(owner: str, quantities: Mapping[str, Quantity]) -> dict[str, Quantity]:
+    """Return the quantities of an element by the names of its parameters."""
+    start = f"{owner}."
+    return {
+        k.removeprefix(start): q for k, q in quantities.items() if k.startswith(start)
+    }
 
 
 def _effects_of(fit: Fit) -> dict[str, Any]:

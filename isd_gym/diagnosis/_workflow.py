@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import time as clock
 from dataclasses import dataclass, field, replace
@@ -11,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._common.errors import InputError
@@ -37,7 +35,7 @@ from ._selection.settings import SearchSettings
 from ._simulation.problem import BROKEN, Problem, Record, Role
 from ._simulation.time_limit import EVIDENCE, SEARCH, TimeLimit, TimeUp, running
 from ._verdict.closed_loop import decide_under_feedback
-from ._verdict.evidence import Measurements, collect_evidence
+from ._verdict.evidence import collect_evidence
 from ._verdict.gates import decide
 from .result import Diagnosis, Stretches
 
@@ -45,8 +43,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ._estimation.gauss_newton import Fit
-    from ._selection.answer import Answer
-    from ._verdict.gates import Decision
 
 
 def diagnose(
@@ -91,11 +87,8 @@ def diagnose(
     )
     part = network if cut is None else network_cut(network, cut)
     if cut is not None:
-        left = [
-            e.name
-            for e in network.elements
-            if e.name not in {x.name for x in part.elements}
-        ]
+        kept = {e.name for e in part.elements}
+        left = [e.name for e in network.elements if e.name not in kept]
         notes.append(
             f"cut at {cut}, which {part.inputs[0].name} moves; left out: {', '.join(left)}"
         )
@@ -123,11 +116,10 @@ def diagnose(
             if not {"sign", "all"} & set(accept):
                 raise InputError(f"{misreading} (--accept sign goes on)")
             notes.append(misreading)
-        say = progress or (lambda line: None)
         flow = Workflow(
             *_split(whole, notes),
             notes,
-            say,
+            progress or (lambda line: None),
             steps,
             criteria,
             feedback,
@@ -136,8 +128,9 @@ def diagnose(
         # one thread for linear algebra: sums do not depend on the number of cores
         with threadpool_limits(1):
             # where a closed loop is found, brief stretches of the motion come first
-            first = None if feedback else _diagnose_inverse(flow, records)
-            found = first or flow.run()
+            found = None if feedback else _diagnose_inverse(flow, records)
+            if found is None:
+                found = flow.run()
             if feedback and found.verdict == "unknown_effect":
                 found = _diagnose_inverse(flow, records) or found
     found = replace(
@@ -166,9 +159,10 @@ def _answering(limit: TimeLimit, steps: SearchSettings) -> Iterator[None]:
 
 def _whole(records: list[Record], network: Network, training: int) -> Problem:
     """Return whole records with differentiated inputs, the first of them for training."""
-    kept: list[Role] = ["fit"] * training
-    kept += ["report"] * (len(records) - training)
-    return Problem(network, differentiate_inputs(records, network), kept)
+    roles: list[Role] = [
+        "fit" if i < training else "report" for i in range(len(records))
+    ]
+    return Problem(network, differentiate_inputs(records, network), roles)
 
 
 def _split(
@@ -218,10 +212,9 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
         return None
     except (InputError, *BROKEN):
         return None
-    left = (
-        *found.gap["after"].values(),
-        *(found.evidence.after if found.evidence else ()),
-    )
+    left = [*found.gap["after"].values()]
+    if found.evidence is not None:
+        left += found.evidence.after
     if found.verdict != "missing_effect" or max(left) > flow.settings.drifted:
         return None
     return replace(found, whole=inverse.restore(found.model))
@@ -232,22 +225,20 @@ def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
     fitted = len(problem.estimation)
     if len(whole.records) == fitted == 1:
         return (float(problem.records[1].time[0]),)
-    return tuple(
-        math.inf if i < fitted else -math.inf for i in range(len(whole.records))
-    )
+    held = len(whole.records) - fitted
+    return (math.inf,) * fitted + (-math.inf,) * held
 
 
 def _check_copies(records: Sequence[Record]) -> None:
     """Raise `InputError` for a record whose samples are those of another record: a copy confirms nothing."""
-    for one, other in itertools.combinations(records, 2):
-        pairs = [
-            (one.measured, other.measured),
-            *((x, other.inputs[n]) for n, x in one.inputs.items()),
-        ]
-        if all(np.array_equal(a, b) for a, b in pairs):
+    known: dict[tuple[bytes, ...], str] = {}
+    for r in records:
+        samples = (r.measured.tobytes(), *(x.tobytes() for x in r.inputs.values()))
+        if samples in known:
             raise InputError(
-                f"{other.name} has the samples of {one.name}: give each record once"
+                f"{r.name} has the samples of {known[samples]}: give each record once"
             )
+        known[samples] = r.name
 
 
 def _several(data: Any, name: str) -> list[Any]:
@@ -298,12 +289,12 @@ class Workflow:
             found = self._diagnose_segments(error)
             if found is not None:
                 return found
-        answer, measured, decision = self.conclude(self.search.run(refitted))
-        return ResultBuilder(self.search, answer, measured, self).build(decision)
+        return self.conclude(refitted).build()
 
-    def conclude(self, answer: Answer) -> tuple[Answer, Measurements, Decision]:
-        """Return the answer of a search, its measurements and the decision on it; a set that cannot be measured loses."""
+    def conclude(self, refitted: Fit) -> ResultBuilder:
+        """Search from the refitted model, measure the answer and decide on it; a set that cannot be measured loses."""
         evaluator, c = self.search.evaluator, self.criteria
+        answer = self.search.run(refitted)
         try:
             with self.clock.until(EVIDENCE):
                 measured = collect_evidence(evaluator, answer)
@@ -313,12 +304,24 @@ class Workflow:
             answer = replace(answer, band=(), weights=(), best=answer.refit)
             with self.clock.until(1.0):
                 measured = collect_evidence(evaluator, answer)
-        decision = decide(answer, measured.evidence, c)
-        fit = answer.foremost.fit
         decision = decide_under_feedback(
-            decision, self.problem, fit, self.feedback, self.is_segmented, c
+            decide(answer, measured.evidence, c),
+            self.problem,
+            answer.foremost.fit,
+            self.feedback,
+            self.is_segmented,
+            c,
         )
-        return answer, measured, decision
+        return ResultBuilder(
+            self.search,
+            answer,
+            measured,
+            decision,
+            self.whole,
+            self.held_from,
+            self.feedback,
+            [*self.notes],
+        )
 
     # -- segments -----------------------------------------------------------------------------------------
     def has_free_motion(self) -> bool:
@@ -347,11 +350,7 @@ class Workflow:
     def _segmented(self) -> Problem:
         """Return the problem with the records in segments, each from an initial state of its own."""
         p, s = self.problem, self.settings
-        slowest = max(
-            pace(r.measured[:, j], r.interval)
-            for r in p.records
-            for j in range(len(p.channels))
-        )
+        slowest = max(pace(y, r.interval) for r in p.records for y in r.measured.T)
         seconds = max(s.segment * p.time, s.least_segment * slowest)
         pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
         for r, role in zip(p.records, p.roles, strict=True):
@@ -373,38 +372,32 @@ class Workflow:
         if len(flow.problem.records) == len(self.problem.records) and not self.feedback:
             return None  # no record is long enough to be cut
         lengths = [len(r) * r.interval for r in flow.problem.records]
-        reason: Literal["diverges", "astray", "feedback"]
-        reason = (
-            "feedback"
-            if self.feedback
-            else "astray"
-            if math.isfinite(error)
-            else "diverges"
-        )
+        reason: Literal["diverges", "astray", "feedback"] = "diverges"
+        if self.feedback:
+            reason = "feedback"
+        elif math.isfinite(error):
+            reason = "astray"
         over = Stretches(
-            len(lengths),
-            min(lengths),
-            max(lengths),
-            reason,
-            error,
-            self.settings.astray,
+            count=len(lengths),
+            shortest=min(lengths),
+            longest=max(lengths),
+            reason=reason,
+            error=error,
+            limit=self.settings.astray,
         )
         self.say(
             f"comparing over {over.count} stretches of {over.shortest:.2g} to {over.longest:.2g} s, each from its own state"
         )
         try:
             with self.clock.until(SEARCH):
-                refitted = flow.search.refit_nominal()
-            answer, measured, decision = flow.conclude(flow.search.run(refitted))
+                refitted = flow.refitted
+            found = flow.conclude(refitted)
         except TimeUp:
             self.clock.leave_out("a comparison over brief stretches")
             return None
         except BROKEN:
             return None
         # under feedback whole records are no valid comparison
-        is_final = decision.verdict != "unknown_effect" or bool(self.feedback)
-        return (
-            ResultBuilder(flow.search, answer, measured, flow).build(decision, over)
-            if is_final
-            else None
-        )
+        if found.decision.verdict == "unknown_effect" and not self.feedback:
+            return None
+        return found.build(over)

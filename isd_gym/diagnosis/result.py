@@ -6,14 +6,18 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from .._common.files import claim_folder, write_text
 from ..records.data import Table, write_table
+from ._selection.uncertainty import Quantity
+from ._verdict.explanation import Place
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from .._common.arrays import Array
@@ -22,6 +26,7 @@ if TYPE_CHECKING:
     from ._records.feedback import Feedback
     from ._selection.conditions import Gate
     from ._selection.criteria import Criteria
+    from ._selection.free_force import BestTable, Tabulated
     from ._selection.settings import SearchSettings
     from ._verdict.evidence import Evidence
     from ._verdict.findings import Finding
@@ -44,8 +49,6 @@ _DOCUMENT = (
     "best_candidate", "best_table", "remainder", "stretches", "closed_loop",
     "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
-#: argument of a force without a known law
-Over = Literal["rate", "elongation"]
 #: kind, mark and parts of the folder of a diagnosis, with its report
 FOLDER = (
     "diagnosis",
@@ -59,26 +62,6 @@ FOLDER = (
         "*.svg",
     ),
 )
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A fitted number with its 95 % interval."""
-
-    #: estimate [unit]
-    value: float
-    #: lower end of the interval [unit]
-    low: float
-    #: upper end of the interval [unit]
-    high: float
-    #: unit of the parameter
-    unit: str
-    #: value in the nominal model [unit]; None for parameters of a new effect
-    prior: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON document, without an unknown prior."""
-        return {k: v for k, v in vars(self).items() if v is not None}
 
 
 @dataclass(frozen=True)
@@ -139,25 +122,9 @@ class LawSet:
     #: the completed model
     model: Network
 
-    @property
-    def members(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """Type and place of each effect."""
-        return tuple(zip(self.effects, self.where, strict=True))
-
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
         return {k: v for k, v in vars(self).items() if k != "model"}
-
-
-@dataclass(frozen=True)
-class Place:
-    """Part of the gap in one channel."""
-
-    channel: str
-    #: share of the squared error beyond noise over all channels
-    share: float
-    #: frequency band (low, high) with 80 % of the error [Hz]; None without an error beyond noise
-    band_hz: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -201,49 +168,6 @@ class Trace:
         if self.held_from is None:
             return "held out" if self.held_out else "fitted"
         return f"fitted up to {self.held_from:.4g} s, then held out"
-
-
-@dataclass(frozen=True)
-class Tabulated:
-    """A missing force without a known law, as a table with its 95 % band."""
-
-    #: terminals
-    between: tuple[str, str]
-    #: argument of the force: 'rate' or 'elongation'
-    over: Over
-    #: name of the element in the new model
-    element: str
-    #: share of the squared held-out error beyond noise that the table removes
-    explained: float
-    #: knots [m], or [rad] between rotating nodes
-    elongation: tuple[float, ...]
-    #: knots [m/s], or [rad/s] between rotating nodes
-    rate: tuple[float, ...]
-    #: force at the knots [N], or torque [N m]
-    force: Array
-    #: lower end of the band at the knots [N]
-    low: Array
-    #: upper end of the band at the knots [N]
-    high: Array
-
-
-@dataclass(frozen=True)
-class BestTable:
-    """The table of a force that explains the held-out records best, accepted or not."""
-
-    #: terminals
-    between: tuple[str, str]
-    #: argument of the force
-    over: Over
-    #: share of the squared held-out error beyond noise that the table removes
-    explained: float
-    #: conditions for the acceptance of the table
-    gates: tuple[Gate, ...]
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the table passes every gate."""
-        return all(g.passed for g in self.gates)
 
 
 @dataclass(frozen=True)
@@ -390,10 +314,21 @@ class Diagnosis:
         return f"Diagnosis({self.verdict!r}, found={found}{closed}, {len(self.traces)} record(s))"
 
     def _repr_html_(self) -> str:
-        """Return verdict, the picture of the measured and simulated signals, effects and gap as HTML for notebooks."""
-        from ..view.report import notebook_page
-
-        return notebook_page(self)
+        """Return verdict, effects and gap as HTML for notebooks."""
+        effects = [["effect", "where", "parameter", "value", "95 % interval"]]
+        for e in self.effects:
+            where = e.channel or "-".join(e.between or ())
+            for name, q in e.stated.items():
+                value, interval = f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"  # fmt: skip
+                effects.append([e.effect, where, name, value, interval])
+        errors = [["error on held-out data", *self.gap]]
+        for channel in self.gap["refit"]:
+            shares = [f"{100 * row[channel]:.1f} %" for row in self.gap.values()]
+            errors.append([channel, *shares])
+        out = f"<p><b>{escape(self.verdict)}</b>: {escape(self.summary)}</p>"
+        for rows in (effects, errors):
+            out += _html_table(rows) if len(rows) > 1 else ""
+        return out
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document (`isd-diagnosis/1`)."""
@@ -404,35 +339,36 @@ class Diagnosis:
         }  # fmt: skip
         return {k: _plain(v) for k, v in (own | made).items()}
 
-    def save(self, folder: str | Path, *, report: bool = True) -> None:
+    def save(self, folder: str | Path) -> None:
         """Write the result to a folder. Each file is written completely or not at all.
 
-        Files: `diagnosis.json`, `model.json`, `next_experiment.csv` if a test would decide, and
-        `report.html` with its figures.
+        Files: `diagnosis.json`, `model.json`, a file for each further set of laws, and `next_experiment.csv` if a test would decide.
+        `isd_gym.view.write_report` writes the page too.
 
         Args:
             folder: New, empty or an earlier diagnosis.
-            report: Whether to write the report.
 
         Raises:
             InputError: The folder holds other files, or cannot be written.
-            ReportError: The report cannot be drawn; the other files are in the folder.
         """
-        if report:
-            from ..view.report import write_report
-
-            write_report(self, folder)
-            return
         folder = claim_folder(folder, *FOLDER)
-        write_text(
-            folder / "diagnosis.json",
-            json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n",
-        )
+        document = json.dumps(self.to_dict(), indent=1, allow_nan=False)
+        write_text(folder / "diagnosis.json", document + "\n")
         (self.whole or self.model).save(folder / "model.json")
         for other in self.sets[1:]:
             other.model.save(folder / other.file)
         if self.test is not None:
             write_table(folder / "next_experiment.csv", self.test)
+
+
+def _html_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as HTML; the first row is its head."""
+    out = ""
+    for k, row in enumerate(rows):
+        tag = "td" if k else "th"
+        cells = "".join(f"<{tag}>{escape(c)}</{tag}>" for c in row)
+        out += f"<tr>{cells}</tr>"
+    return f"<table>{out}</table>"
 
 
 def _plain(value: Any) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -24,16 +24,18 @@ from .._hypotheses.forces import PlaceForces, place_forces
 from .._hypotheses.library import pairs
 from .._hypotheses.motion import motions
 from .._simulation.problem import BROKEN, Problem
-from ..result import BestTable, Over, Tabulated
 from .admissibility import travels
 from .answer import removed_share
 from .conditions import table_gates
 from .held_out_table import Row, compare, row_of
 
 if TYPE_CHECKING:
+    from .conditions import Gate
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
 
+#: argument of a force without a known law
+Over = Literal["rate", "elongation"]
 #: knots of a table: a resolution, finer than the correlation length
 KNOTS = 33
 #: correlation length, as a share of half the motion's range
@@ -51,6 +53,49 @@ INSIDE = 0.995
 PLANES: tuple[Over, ...] = ("rate", "elongation")
 #: Gauss-Newton steps of a table with few samples, and with all
 STEPS, LAST_STEPS = 12, 4
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """A missing force without a known law, as a table with its 95 % band."""
+
+    #: terminals
+    between: tuple[str, str]
+    #: argument of the force: 'rate' or 'elongation'
+    over: Over
+    #: name of the element in the new model
+    element: str
+    #: share of the squared held-out error beyond noise that the table removes
+    explained: float
+    #: knots [m], or [rad] between rotating nodes
+    elongation: tuple[float, ...]
+    #: knots [m/s], or [rad/s] between rotating nodes
+    rate: tuple[float, ...]
+    #: force at the knots [N], or torque [N m]
+    force: Array
+    #: lower end of the band at the knots [N]
+    low: Array
+    #: upper end of the band at the knots [N]
+    high: Array
+
+
+@dataclass(frozen=True)
+class BestTable:
+    """The table of a force that explains the held-out records best, accepted or not."""
+
+    #: terminals
+    between: tuple[str, str]
+    #: argument of the force
+    over: Over
+    #: share of the squared held-out error beyond noise that the table removes
+    explained: float
+    #: conditions for the acceptance of the table
+    gates: tuple[Gate, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the table passes every gate."""
+        return all(g.passed for g in self.gates)
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -16,7 +16,6 @@ from .._estimation.gauss_newton import Fitter
 from .._estimation.sensitivities import deviations
 from .._hypotheses.law_matching import simulate_unmodelled_effects
 from .._simulation.problem import BROKEN
-from ..result import Quantity
 from .held_out_table import block_edges
 
 if TYPE_CHECKING:
@@ -36,6 +35,26 @@ MOST_UNCERTAIN = 100.0
 LARGEST_SHIFT = 1e6
 #: number of times that derivatives are taken over the standard deviations found before
 PASSES = 2
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A fitted number with its 95 % interval."""
+
+    #: estimate [unit]
+    value: float
+    #: lower end of the interval [unit]
+    low: float
+    #: upper end of the interval [unit]
+    high: float
+    #: unit of the parameter
+    unit: str
+    #: value in the nominal model [unit]; None for parameters of a new effect
+    prior: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document, without an unknown prior."""
+        return {k: v for k, v in vars(self).items() if v is not None}
 
 
 def covariance(evaluator: HeldOutEvaluator, fit: Fit) -> Array | None:

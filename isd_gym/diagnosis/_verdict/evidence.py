@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .._selection.answer import Answer
     from .._selection.held_out import HeldOutEvaluator
     from .._selection.held_out_table import Row
-    from ..result import Quantity
+    from .._selection.uncertainty import Quantity
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import welch
 
 from .._estimation.gauss_newton import residuals
-from ..result import Place
 
 if TYPE_CHECKING:
     from ..._common.arrays import Array
     from .._estimation.gauss_newton import Fit
     from .._simulation.problem import Problem
+
+
+@dataclass(frozen=True)
+class Place:
+    """Part of the gap in one channel."""
+
+    channel: str
+    #: share of the squared error beyond noise over all channels
+    share: float
+    #: frequency band (low, high) with 80 % of the error [Hz]; None without an error beyond noise
+    band_hz: tuple[float, float] | None
 
 
 def band(residual: Array, floor: float, step: float) -> tuple[float, float] | None:

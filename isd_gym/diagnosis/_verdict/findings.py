@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from .._estimation.structure import parameter_values
+from .._selection.uncertainty import Quantity
 from .._selection.weights import FREE_FORCE, Statement, probability
-from ..result import Quantity
 from .gates import NAMELESS
 from .grades import MISTAKEN, REPORTED, grade, share_mistaken
 

@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-from .diagnosis import check_target, notebook_page, write_report
+from .diagnosis import check_target, write_report
 from .score import check_report, score_report
 
 __all__ = [
     "check_report",
     "check_target",
-    "notebook_page",
     "score_report",
     "write_report",
 ]

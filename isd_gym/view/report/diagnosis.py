@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,7 +102,7 @@ def write_report(
     """
     folder = Path(folder)
     with whole_folder(folder, *FOLDER) as place:
-        diagnosis.save(place, report=False)
+        diagnosis.save(place)
     try:
         _draw_report(diagnosis, folder, dict(about or {}))
     except (
@@ -119,7 +118,7 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
     """Exchange the folder for a folder with the results, the page and its figures."""
     view = View(diagnosis)
     with style(), whole_folder(folder, *FOLDER) as place:
-        diagnosis.save(place, report=False)
+        diagnosis.save(place)
         pictures: dict[str, Picture] = {}
         for make in FIGURES:
             chart = make(view)
@@ -139,33 +138,6 @@ def _html(view: View, shown: Mapping[str, Picture], about: Mapping[str, str]) ->
         stages=STAGES,
         types=el.TYPES,
     )
-
-
-def notebook_page(d: Diagnosis) -> str:
-    """Return verdict, effects and gap of a diagnosis as HTML for a notebook."""
-    stages = [s for s in ("before", "refit", "after", "noise_floor") if s in d.gap]
-    rows = [
-        [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
-        for e in d.effects
-        for name, q in e.stated.items()
-    ]  # fmt: skip
-    out = f"<p><b>{escape(d.verdict)}</b>: {escape(d.summary)}</p>"
-    if rows:
-        out += _plain_table(
-            ["effect", "where", "parameter", "value", "95 % interval"], rows
-        )
-    gap = [
-        [c, *(f"{100 * d.gap[s][c]:.1f} %" for s in stages)]
-        for c in d.gap.get("refit", {})
-    ]
-    return out + _plain_table(["error on held-out data", *stages], gap)
-
-
-def _plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def line(tag: str, cells: Sequence[str]) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) + "</tr>"
-
-    return f"<table><thead>{line('th', heads)}</thead><tbody>{''.join(line('td', r) for r in rows)}</tbody></table>"
 
 
 def check_target(folder: str | Path) -> None:
