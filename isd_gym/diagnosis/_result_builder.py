@@ -84,7 +84,8 @@ class ResultBuilder:
         """Build the result; `over` describes the segments over which records were compared, None for whole records."""
         search, measured, decision = self.search, self.measured, self.decision
         problem, network = search.problem, search.problem.network
-        verdict, refit, final = decision.verdict, self.answer.refit, self.answer.foremost  # fmt: skip
+        verdict, refit = decision.verdict, self.answer.refit
+        final = self.answer.foremost
         is_named = verdict == "missing_effect"
         free = self._free_force() if verdict == "unknown_effect" else FreeForce()
         findings = self._attempt("the probabilities", self._findings, free) or ()
@@ -95,7 +96,9 @@ class ResultBuilder:
             final = refit
         quantities = posterior = measured.quantities
         if not is_named:
-            found = self._attempt("the intervals", intervals, search.evaluator, refit.fit)  # fmt: skip
+            found = self._attempt(
+                "the intervals", intervals, search.evaluator, refit.fit
+            )
             quantities = found or {}
         if final is refit:
             posterior = quantities

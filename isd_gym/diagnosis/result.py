@@ -319,7 +319,8 @@ class Diagnosis:
         for e in self.effects:
             where = e.channel or "-".join(e.between or ())
             for name, q in e.stated.items():
-                value, interval = f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"  # fmt: skip
+                value = f"{q.value:.4g} {q.unit}"
+                interval = f"{q.low:.4g} to {q.high:.4g}"
                 effects.append([e.effect, where, name, value, interval])
         errors = [["error on held-out data", *self.gap]]
         for channel in self.gap["refit"]:

@@ -96,12 +96,20 @@ def _describe_turned(network: Network, turned: NDArray[np.int_], own: Array) -> 
     """Return a line on turned outputs: the input is turned where all outputs are, else the clearest one."""
     worst = int(turned[np.argmin(own[turned])])
     is_every = len(turned) == len(network.outputs)
-    if is_every and len(turned) > 1 and len(network.inputs) == len(_drives(network)) == 1:  # fmt: skip
+    if (
+        is_every
+        and len(turned) > 1
+        and len(network.inputs) == len(_drives(network)) == 1
+    ):
         name = plain(network.inputs[0].name, 40)
         return f"all outputs follow the model with r = {max(own):.2f} or less, turned round: --sign {name}=-1"
     name = plain(network.outputs[worst].name, 40)
     line = f"{name} follows the model with r = {own[worst]:.2f}, turned round: --sign {name}=-1"
-    motors = {plain(c.elements[0], 40) for c in network.inputs if c.quantity in ("current", "voltage")}  # fmt: skip
+    motors = {
+        plain(c.elements[0], 40)
+        for c in network.inputs
+        if c.quantity in ("current", "voltage")
+    }
     if motors and is_every:
         line += (
             f", or swap the nodes of motor {' and '.join(sorted(motors))} in the model"

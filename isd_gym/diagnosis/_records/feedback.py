@@ -194,7 +194,9 @@ def _switching(u: Array) -> Array:
         since % clock == 0,
         (since - mean) / usual,
     )
-    return np.stack([(value == k) * c for k in np.unique(state[:, 0]) for c in columns], axis=1)  # fmt: skip
+    return np.stack(
+        [(value == k) * c for k in np.unique(state[:, 0]) for c in columns], axis=1
+    )
 
 
 def _unpredicted(X: Array, t: Array, block: NDArray[np.int_]) -> Array:
