@@ -162,6 +162,7 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(
     for name in ("ppo", "sac"):
         assert rows[name]["cost"]["change"] < -0.15
         assert rows[name]["tyre_load_rms"]["change"] < 0.05
+        assert rows[name]["share_of_reachable_gain"] > 0.3
         assert rows[name]["control_time"]["median"] < 1e-3  # 1 kHz
 
 

@@ -7,7 +7,7 @@ from program import refused
 from isd_gym import Network, StageCost
 from isd_gym.benchmark import ceilings as module
 from isd_gym.benchmark import lq_bounds as bounds
-from isd_gym.benchmark.ceilings import ceiling, passive_cost
+from isd_gym.benchmark.ceilings import ceiling, passive_cost, reachable
 from isd_gym.benchmark.policies import find, passive
 from isd_gym.benchmark.scoring import Conditions, drive
 from isd_gym.physics.prediction import (
@@ -125,3 +125,23 @@ def test_a_score_quotes_no_ceiling_of_few_roads(monkeypatch):
         ceiling("quarter-car-isd") is None
         and ceiling("quarter-car-isd", "bump") is None
     )
+
+
+def test_the_clairvoyant_optimum_is_that_of_the_score():
+    found = reachable(CAR, Conditions())
+    assert found["value"].shape == (32,) and np.all(found["lower"] < found["value"])
+    cost = COST(
+        found["body_acceleration"], found["suspension_travel"]
+    )  # the cost belongs to the triple
+    np.testing.assert_allclose(cost, found["value"], rtol=1e-4)
+    assert (
+        reachable(CAR, Conditions(seed=900_000)) is None
+        and reachable(CAR, Conditions(speed=21.0)) is None
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lqr-full", "mpc-friction"])  # the best ones
+def test_no_causal_controller_is_better_on_its_road(name):
+    own = drive(find(name, CAR), CAR, Conditions()).cost(COST)
+    assert np.all(own > reachable(CAR, Conditions())["value"])

@@ -10,8 +10,9 @@ from program import assert_one_line, python, read_json, run
 
 from isd_gym import Network, score
 from isd_gym._commands._score_table import print_score
-from isd_gym.benchmark.ceilings import ceiling
+from isd_gym.benchmark.ceilings import reachable
 from isd_gym.benchmark.policies import available, find
+from isd_gym.benchmark.scoring import Conditions
 from isd_gym.physics.elements import TYPES
 
 
@@ -39,20 +40,21 @@ def test_help_is_light_and_knows_the_commands_of_all_packages():
 
 
 def test_score_ends_with_what_puts_it_in_place(tmp_path):
-    """On the benchmark's own roads: the causal bound and ceiling."""
+    """On the benchmark's own roads: the clairvoyant optimum, the causal bound and ceiling."""
     done = run("score passive lqg --full --json", tmp_path / "s.json")
     assert done.returncode == 0, done.stderr
     assert max(map(len, done.stdout.splitlines())) <= 80
     text = " ".join(done.stdout.split())
     for words in (
-        "of the causal",
+        "of the gain",
+        "Clairvoyant optimum",
         "Causal LQ bound",
         "The causal ceiling is an estimate, not a proven bound",
     ):
         assert words in text
     assert "Left out" not in text
     data = read_json(tmp_path / "s.json")
-    known = {"causal_bound", "ceiling_0"}
+    known = {"clairvoyant", "clairvoyant_point", "causal_bound", "ceiling_0"}
     assert known <= set(data["references"])
     best = float(
         re.search(r"acceleration (\S+) % at best", data["references"]["causal_bound"])[
@@ -61,11 +63,25 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
     )
     own = data["policies"][1]["body_acceleration_rms"]
     assert best < 100 * own["low"]  # nobody beats a bound
-    assert "{" not in text
-    row = next(r for r in data["policies"] if r["policy"] == "lqg")
-    assert row["share_of_causal_gain"] == pytest.approx(
-        row["cost"]["change"] / ceiling("quarter-car-isd").change
+    point = data["references"][
+        "clairvoyant_point"
+    ]  # least cost, so less of what it is made of
+    assert (
+        -0.6 < point["body_acceleration_change"] < -0.2
+        and -0.6 < point["suspension_travel_change"] < -0.1
     )
+    assert "{" not in text
+    ground, row = (
+        next(r for r in data["policies"] if r["policy"] == name)
+        for name in ("passive", "lqg")
+    )
+    before, after = (r["cost"]["value"] for r in (ground, row))
+    least = reachable(Network.load("quarter-car-isd"), Conditions())["value"].mean()
+    assert ground["share_of_reachable_gain"] == 0.0
+    assert row["share_of_reachable_gain"] == pytest.approx(
+        (before - after) / (before - least)
+    )
+    assert 0 < row["share_of_reachable_gain"] < row["share_of_causal_gain"] < 1
 
 
 @pytest.mark.parametrize("word", ["policies", "networks", "card", "--help"])
@@ -85,7 +101,7 @@ def test_what_is_piped_has_80_columns(word):
 def test_a_score_folds_no_name_and_loses_no_figure(width, capsys, monkeypatch):
     monkeypatch.setattr("rich.console.Console.width", width)
     result = score(["isd-passive"], "half-car-isd", episodes=2, duration=0.5)
-    shares = {f"share_of_{which}_gain": 10.0 for which in ("causal", "lq")}
+    shares = {f"share_of_{which}_gain": 10.0 for which in ("reachable", "causal", "lq")}
     for row in result.policies:
         row |= shares
     row |= {"policy": "mpc-friction-wheelbase", "fallbacks": 123456}
@@ -97,7 +113,7 @@ def test_a_score_folds_no_name_and_loses_no_figure(width, capsys, monkeypatch):
     figures = " ".join(rows).replace("mpc-friction-wheelbase", "").split()
     assert not any("mpc" in line for line in lines if line not in rows)
     shown = {f"{row['cost']['value']:.3f}", f"{row['energy']['value']:.0f}"}
-    assert {"1100", "1200", "123456"} | shown <= set(figures)
+    assert {"1100", "1200", "1300", "123456"} | shown <= set(figures)
     for corner in ("front", "rear"):
         assert f"{row[f'suspension_travel_{corner}_rms']['value'] * 1e3:.2f}" in figures
 

@@ -25,7 +25,7 @@ CAR = Network.load("quarter-car-isd")
         ({"duration": 19.0}, {"lq_bound", "ceiling"}),
         (
             {"reference": "isd-passive"},
-            {"lq_bound", "ceiling"},
+            {"lq_bound", "ceiling", "clairvoyant"},
         ),
     ],
 )

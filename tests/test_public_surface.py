@@ -43,7 +43,7 @@ isd_gym.benchmark
 isd_gym.benchmark.cards
     also BUILT_IN CLOSE SAME built_in digest load make match ranking read_score track
 isd_gym.benchmark.ceilings
-    also Ceiling FEWEST SEED SETTINGS bounds_beside ceiling fronts passive_cost
+    also Ceiling FEWEST FIGURES SEED SETTINGS bounds_beside ceiling fronts passive_cost reachable
 isd_gym.benchmark.comparability
     also Comparable NAMES comparable
 isd_gym.benchmark.driving

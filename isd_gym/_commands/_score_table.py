@@ -68,6 +68,7 @@ class _Table:
 
     def shares(self) -> Part:
         heads = {
+            "share_of_reachable_gain": "of the gain\nreachable",
             "share_of_causal_gain": "of the causal\ngain",
             "share_of_lq_gain": "of the LQ\nbound's gain",
         }

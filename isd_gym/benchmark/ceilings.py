@@ -1,9 +1,10 @@
-"""The causal ceiling of controllers: the least cost that is known of a controller with a given preview.
+"""Least costs that are known: the causal ceiling of controllers, and the clairvoyant optimum of single roads.
 
 The **causal ceiling** estimates the lowest mean cost of controllers that know the road up to a given preview: an
 information relaxation (Brown, Smith and Sun, Operations Research 58, 2010), whose minimum over the currents was
-searched. A **proven bound**, for the car without end stops, stands beside each road of it. The folder `bounds` holds the values,
-road by road; docs/explanation/ceiling.md has the method.
+searched. A **proven bound**, for the car without end stops, stands beside each road of it. The **clairvoyant optimum**
+knows the road of the whole episode. The folder `bounds` holds the values, road by road; docs/explanation/ceiling.md
+has the method.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from .lq_bounds import linear_car, lq_front, wheelbase_bound
 from .policies import conventional
 
 if TYPE_CHECKING:
-    from .scoring import Score
+    from .scoring import Conditions, Score
 
 #: first seed of the roads of the ceiling, which were not used for tuning
 SEED = 600_000
@@ -38,6 +39,8 @@ SEED = 600_000
 FEWEST = 4
 #: weights of the penalty of the search
 SETTINGS = {"move": 0.1, "effort": 0.0, "centring": 0.04}
+#: figures of the clairvoyant optimum of a road
+FIGURES = ("value", "lower", "acceleration", "travel", "tyre_load")
 
 
 @functools.cache
@@ -163,7 +166,7 @@ def _episode_key(
     speed: float,
     duration: float,
     cost: StageCost,
-    preview: float,
+    **more: Any,
 ) -> str:
     """Return a key of everything except the seed on which the values of a road depend: 16 hexadecimal digits."""
     model = network.to_dict()
@@ -173,9 +176,10 @@ def _episode_key(
         None if x is None else np.asarray(x).tolist()
         for x in (road.abscissa, road.profile)
     ]
-    more = {"preview": float(preview), "settings": SETTINGS}
-    parts = [car, ground, speed, duration, cost.quadratic, more]
-    text = json.dumps(parts, sort_keys=True)
+    text = json.dumps(
+        [car, ground, speed, duration, cost.quadratic, *([more] if more else [])],
+        sort_keys=True,
+    )
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -202,7 +206,15 @@ def ceiling(
     network = Network.load(network)
     ground = find_road(road)
     cost = StageCost()
-    key = _episode_key(network, ground, speed, duration, cost, preview)
+    key = _episode_key(
+        network,
+        ground,
+        speed,
+        duration,
+        cost,
+        preview=float(preview),
+        settings=SETTINGS,
+    )
     seeds = _stored("ceiling.json").get(key, {}).get("seeds", {})
     roads: list[dict[str, Any]] = []
     while (seed := str(SEED + len(roads))) in seeds:
@@ -215,18 +227,57 @@ def ceiling(
     return Ceiling(preview, np.array(reached), np.array(proven), passive)
 
 
+def reachable(network: Network, conditions: Conditions) -> dict[str, np.ndarray] | None:
+    """Return the clairvoyant optimum of consecutive episodes.
+
+    Args:
+        network: The plant.
+        conditions: Conditions of a score.
+
+    Returns:
+        Arrays (episodes,): `value` (least known cost), `lower` (proven), and RMS of body_acceleration [m/s^2],
+        suspension_travel [m] and tyre_load [N] at that cost. None if an episode is unknown.
+    """
+    seed = conditions.seed
+    stream = {"stream": "scoring"} if seed is None else {}
+    key = _episode_key(
+        network,
+        conditions.road,
+        conditions.speed,
+        conditions.duration,
+        StageCost(),
+        **stream,
+    )
+    seeds = _stored("clairvoyant.json").get(key, {}).get("seeds", {})
+    wanted = [str((seed or 0) + i) for i in range(conditions.episodes)]
+    if any(s not in seeds for s in wanted):
+        return None
+    names = {"acceleration": "body_acceleration", "travel": "suspension_travel"}
+    return {
+        names.get(n, n): np.array([seeds[s][n] for s in wanted], dtype=np.float64)
+        for n in FIGURES
+    }
+
+
 def bounds_beside(result: Score) -> dict[str, Any]:
     """Return one line per bound of a score, and one line about the bounds left out; every row gets its shares of the known gains."""
     lines: dict[str, Any] = {}
     allowed = result.comparable
+    drives = result.conditions
+    not_computed = "not computed for these conditions"
+    if not allowed.clairvoyant:
+        optimum = reachable(result.plant, drives)
+        if optimum is None:
+            allowed = replace(allowed, clairvoyant=not_computed)
+        else:
+            lines |= _optimum(result, optimum)
     if not allowed.lq_bound and (line := _wheelbase_bound(result) or _lq_bound(result)):
         lines["causal_bound"] = line
     if not allowed.ceiling:
         found = _ceilings(result)
         lines |= found
         if not found:
-            why = "not computed for these conditions"
-            allowed = replace(allowed, ceiling=why)
+            allowed = replace(allowed, ceiling=not_computed)
     if allowed.left_out:
         lines["left_out"] = allowed.left_out
     return lines
@@ -285,6 +336,33 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     except InputError:  # a road or a car without such a bound
         return []
     return [(tyre, curve) for tyre, curve in curves if len(curve) > 2]
+
+
+def _optimum(result: Score, optimum: dict[str, Any]) -> dict[str, Any]:
+    """Return the clairvoyant optimum as a line, and the changes of its RMS against passive over all episodes."""
+    own = result.runs["passive"]
+    cost, least, proven = (
+        float(v.mean())
+        for v in (own.cost(result.cost), optimum["value"], optimum["lower"])
+    )
+    line = (
+        f"Clairvoyant optimum, these very roads known in advance (searched): cost J {least:.3f} "
+        f"({100 * (least / cost - 1):+.1f} %)"
+    )
+    if np.isfinite(proven):
+        line += f"; proven, without end stops: not below {proven:.3f} ({100 * (proven / cost - 1):+.1f} %)"
+    line += "."
+    gain = cost - least
+    for row in result.policies:
+        reached = cost - row["cost"]["value"]
+        row["share_of_reachable_gain"] = reached / gain
+    changes = {
+        f"{n}_change": float(
+            np.sqrt(np.mean(optimum[n] ** 2) / np.mean(getattr(own, n) ** 2)) - 1
+        )
+        for n in ("body_acceleration", "suspension_travel", "tyre_load")
+    }
+    return {"clairvoyant": line, "clairvoyant_point": changes}
 
 
 def _wheelbase_bound(result: Score) -> str | None:

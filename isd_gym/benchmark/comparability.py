@@ -27,6 +27,8 @@ class Comparable:
     lq_bound: str = ""
     # causal ceiling of the mean over random roads
     ceiling: str = ""
+    # clairvoyant optimum of single roads
+    clairvoyant: str = ""
 
     @property
     def left_out(self) -> str | None:
@@ -37,14 +39,18 @@ class Comparable:
                 by_reason.setdefault(reason, []).append(NAMES[f.name])
         if not by_reason:
             return None
-        parts = [f"{' and '.join(n)} ({reason})" for reason, n in by_reason.items()]
-        return f"Left out: {'; '.join(parts)}."
+        return (
+            "Left out: "
+            + "; ".join(f"{_listed(n)} ({reason})" for reason, n in by_reason.items())
+            + "."
+        )
 
 
 #: names of the bounds in `Comparable.left_out`
 NAMES = {
     "lq_bound": "the LQ bound",
     "ceiling": "the causal ceiling",
+    "clairvoyant": "the clairvoyant optimum",
 }
 
 
@@ -52,19 +58,25 @@ def comparable(
     network: Network, conditions: Conditions, *, reference: str = "passive"
 ) -> Comparable:
     """Decide which bounds may be shown beside a score."""
-    road = conditions.road
+    ground = conditions.road
     episodes = conditions.episodes
     duration = conditions.duration
     if reference != "passive":
-        why = f"changes are against {reference}, not passive"
-        return Comparable(lq_bound=why, ceiling=why)
+        return Comparable(
+            *[f"changes are against {reference}, not passive"] * len(fields(Comparable))
+        )
     few = ""
     if episodes < EPISODES or duration < DURATION:
         few = f"{episodes} x {duration:g} s is too small a sample: {EPISODES} x {DURATION:g} s at least"
-    is_random = road.roughness > 0 and road.profile is None
-    bound = ceiling = few if is_random else "the road is not a random one"
+    rough = ground.roughness > 0 and ground.profile is None
+    mean = few if rough else "the road is not a random one"
+    bound, ceiling, clairvoyant = mean, mean, ""
     if network.bodies:
-        ceiling = "known of quarter cars only"
+        ceiling = clairvoyant = "known of quarter cars only"
         if vehicle(network).wheels.tracks > 1:
             bound = "known of cars whose wheels run in one track"
-    return Comparable(bound, ceiling)
+    return Comparable(bound, ceiling, clairvoyant)
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -475,6 +475,7 @@ def _policy_row(
             "median": float(np.median(run.times)),
             "p99_9": float(np.quantile(run.times, 0.999)),
         },
+        "share_of_reachable_gain": None,
         "preview": {"value": run.preview, "unit": "s"},
         "share_of_causal_gain": None,
     }

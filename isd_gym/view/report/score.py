@@ -134,10 +134,14 @@ class Shown:
     def bounds(self) -> list[str]:
         """Sentences on the bounds of these conditions."""
         told = self.score.references
-        lines = [text for key, text in told.items() if key.startswith("ceiling_")]
-        if self.score.comfort and "causal_bound" in told:
-            lines.append(told["causal_bound"])
-        return lines
+        named = (
+            ("clairvoyant", "causal_bound") if self.score.comfort else ("clairvoyant",)
+        )
+        return [
+            text
+            for key, text in told.items()
+            if key.startswith("ceiling_") or key in named
+        ]
 
     @property
     def left_out(self) -> str:
@@ -347,7 +351,7 @@ def spectra(shown: Shown) -> Chart | None:
 
 def trade_off(shown: Shown) -> Chart:
     """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load."""
-    marks = _policy_marks(shown)
+    marks = [*_policy_marks(shown), *_optimum_marks(shown)]
     xs = [0.0, *(m.x[0] for m in marks)]
     ys = [0.0, *(m.y[0] for m in marks)]
     from ...benchmark.ceilings import fronts
@@ -418,4 +422,18 @@ def _policy_marks(shown: Shown) -> list[Marks]:
             }
         tyre = t.get("change")
         marks.append(_mark(name, l["change"], a["change"], tyre, look, **spans))
+    return marks
+
+
+def _optimum_marks(shown: Shown) -> list[Marks]:
+    """Return the point of the clairvoyant optimum, where it is known."""
+    marks = []
+    if known := shown.score.references.get("clairvoyant_point"):
+        a, l, t = (
+            known[f"{k}_change"]
+            for k in ("body_acceleration", "suspension_travel", "tyre_load")
+        )
+        marks.append(
+            _mark("clairvoyant", l, a, t, Look(INK, "-", "o"), open=True, size=8.0)
+        )
     return marks
