@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._common.errors import InputError
@@ -222,11 +223,14 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
 
 def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
     """Return the time [s] from which each whole record takes no part in fitting; infinite for records that are fitted to the end."""
-    fitted = len(problem.estimation)
-    if len(whole.records) == fitted == 1:
-        return (float(problem.records[1].time[0]),)
-    held = len(whole.records) - fitted
-    return (math.inf,) * fitted + (-math.inf,) * held
+    out = []
+    for record in whole.records:
+        own: dict[bool, list[float]] = {True: [], False: []}
+        for part, role in zip(problem.records, problem.roles, strict=True):
+            if np.may_share_memory(part.measured, record.measured):
+                own[role == "fit"].append(float(part.time[0]))
+        out.append(min(own[False], default=math.inf) if own[True] else -math.inf)
+    return tuple(out)
 
 
 def _check_copies(records: Sequence[Record]) -> None:
@@ -281,7 +285,7 @@ class Workflow:
         initial state of its own."""
         p = self.problem
         self.say(
-            f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
+            f"{len(p.estimation)} stretches to fit, {len(p.held)} held out; refitting the model"
         )
         with self.clock.until(SEARCH):
             refitted, error = self.refitted, self.error_of_whole_records

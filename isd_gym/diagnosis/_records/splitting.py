@@ -30,8 +30,8 @@ def split_records(
     time: float,
     lead: float = 0.0,
 ) -> tuple[list[Record], list[Role]]:
-    """Return training records and held-out segments, alternately for validation and test, with their roles: segments of `validate`, of
-    the last third of the records, or of the motion of a single one. `lead`: simulated time before a segment [s]. How is noted."""
+    """Return segments for training and held-out segments, alternately for validation and test, with their roles: held out are `validate`,
+    the last third of the records, or that of the motion of a single one. `lead`: simulated time before a segment [s]. How is noted."""
     training, held = data, validate
     if not held and len(training) > 1:
         count = max(1, len(training) // 3)
@@ -60,13 +60,7 @@ def split_records(
     segments: list[Record] = []
     roles: list[Role] = []
     for n, r in enumerate(held):
-        seconds = SEGMENT * time
-        if r.inputs:  # a short record with inputs gives two to four segments
-            duration = len(r) * r.interval
-            seconds = min(
-                seconds, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration
-            )
-        own = cut_segments(r, seconds, min(300, len(r) // 2), lead)
+        own = _pieces(r, time, lead)
         segments += own
         # the first half of every run may be driven and the second coast: neither half is for one purpose alone
         after = n % 2 if len(own) > 1 else 0
@@ -81,8 +75,20 @@ def split_records(
         notes.append(
             "too little is held out for test records: the reported figures are those of validation"
         )
-    fitted: list[Role] = ["fit"] * len(training)
-    return [*training, *segments], fitted + roles
+    parts = [part for r in training for part in _pieces(r, time, lead)]
+    fitted: list[Role] = ["fit"] * len(parts)
+    return [*parts, *segments], fitted + roles
+
+
+def _pieces(record: Record, time: float, lead: float) -> list[Record]:
+    """Return the segments of a record: a slow drift that no model predicts begins anew in each."""
+    seconds = SEGMENT * time
+    if record.inputs:  # a short record with inputs gives two to four segments
+        duration = len(record) * record.interval
+        seconds = min(
+            seconds, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration
+        )
+    return cut_segments(record, seconds, min(300, len(record) // 2), lead)
 
 
 def _led_in(record: Record, lead: float) -> Record:

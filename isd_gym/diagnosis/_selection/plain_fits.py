@@ -7,6 +7,7 @@ fitted: from the states of the set, and from states that the first samples tell.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
@@ -99,12 +100,15 @@ class Stage:
     def __init__(self, full: Fitter, base: Fit, rules: SearchSettings):
         self.full, self.rules = full, rules
         self.whole = full.problem
-        self.problem = self.whole.rough
-        self.coarse = Fitter(self.problem, full.weights)
         self.base = base
-        self.now = base
-        if self.problem is not self.whole:
-            self.now = self.coarse.transfer(base)
+        self.coarse, self.now = full, base
+        if self.whole.rough is not self.whole:
+            # with large steps a law may break down
+            with contextlib.suppress(*BROKEN):
+                coarse = Fitter(self.whole.rough, full.weights)
+                self.now = coarse.transfer(base)
+                self.coarse = coarse
+        self.problem = self.coarse.problem
 
     def run(self) -> list[Fit]:
         """Return the fits with one more law, smallest cost first: all laws with at most one parameter more, and the best others."""
