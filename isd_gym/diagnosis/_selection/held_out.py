@@ -90,29 +90,31 @@ class HeldOutEvaluator:
         if near is not None:
             begun = transfer_states(p, near.network, near.initial, fit.structure)
         held = self.plain_fitter.follow(fit.structure, fit.x, p.held, begun)
-        broken = self._breakdowns(fit.structure, fit.x) - self._broken
-        if fit.hypotheses and broken:
-            raise InputError(f"the simulation breaks down on the record {min(broken)}")
+        if fit.hypotheses and self.whole is not None:
+            broken = self._breakdowns(self.whole, fit.structure, fit.x) - self._broken
+            if broken:
+                name = self.whole.records[min(broken)].name
+                raise InputError(f"the simulation breaks down on the record {name}")
         return held
 
     # -- whole records ------------------------------------------------------------------------------------
-    def _breakdowns(self, structure: Structure, x: Array) -> set[str]:
-        """Return the names of the whole records on which a simulation breaks down, from the states that the first samples tell."""
-        if self.whole is None:
-            return set()
-        fitter, out = Fitter(self.whole, white_weights(self.least_noise)), set()
+    def _breakdowns(self, whole: Problem, structure: Structure, x: Array) -> set[int]:
+        """Return the whole records on which a simulation breaks down, from the states that the first samples tell."""
+        fitter, out = Fitter(whole, white_weights(self.least_noise)), set()
         # one by one: a record that breaks down must not hide the others
-        for i, record in enumerate(self.whole.records):
+        for i in range(len(whole.records)):
             at = fitter.begin(structure, x, None, None, [i])
             if not np.isfinite(fitter.seen(structure, at, [i]).total):
-                out.add(record.name)
+                out.add(i)
         return out
 
     @cached_property
-    def _broken(self) -> set[str]:
-        """Names of the whole records on which the nominal model breaks down."""
+    def _broken(self) -> set[int]:
+        """Whole records on which the nominal model breaks down."""
+        if self.whole is None:
+            return set()
         structure = base_structure(self.problem.network)
-        return self._breakdowns(structure, structure.start)
+        return self._breakdowns(self.whole, structure, structure.start)
 
     # -- noise --------------------------------------------------------------------------------------------
     def noise_share(self, held: Fit) -> Array:
