@@ -145,7 +145,7 @@ def test_a_body_without_inertia_does_not_turn(drive):
 
 
 def test_a_half_car_is_cut_at_one_wheel_and_at_both(drive):
-    """What one wheel's sensor tells replaces its tyre and road; the other road stays until that wheel is cut, too."""
+    """The sensor of a wheel replaces its tyre and road; the other road stays until that wheel is cut, too."""
     data = Network.load("half-car-isd").to_dict()
     hubs = (
         builders.channel(f"hub_{end}", "displacement", f"wheel_{end}")

@@ -152,9 +152,7 @@ def with_multipliers(model, w):
     for k, tie in enumerate(ties):
         for node, factor in tie.items():
             J[k, index[node]] = factor
-    J[-2, index["road"]] = J[-1, index["base"]] = (
-        1.0  # what is moved is where it is told to be
-    )
+    J[-2, index["road"]] = J[-1, index["base"]] = 1.0  # moved nodes follow their inputs
     whole = np.block([[stiffness, J.T], [J, np.zeros((len(J), len(J)))]])
     right = np.zeros((len(whole), 4), complex)
     right[len(whole) - 2, 0] = right[len(whole) - 1, 1] = 1.0

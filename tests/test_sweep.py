@@ -68,7 +68,7 @@ def _done(folder):
 
 @pytest.fixture
 def importable(monkeypatch):
-    """Workers find this file and the helpers that it imports."""
+    """Make this file and its helpers importable for workers."""
     here = Path(__file__).parent
     paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))

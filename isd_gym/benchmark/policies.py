@@ -155,7 +155,7 @@ def find(
 def find_all(
     policies: Sequence[str | Entry], network: Network, **how: Any
 ) -> list[Entry]:
-    """Return policies by their names, each under a name of its own where that is possible.
+    """Return policies by name, under distinct names where possible.
 
     A trained policy brings its name along. Where two policies have the same name, or a trained policy has the
     name of the reference ("passive"), the path is the name of the trained policy.

@@ -188,7 +188,7 @@ class ResultBuilder:
         return None
 
     def _free_force(self) -> FreeForce:
-        """Fit a table of the missing force; none under feedback, where it would draw the controller's law."""
+        """Fit a table of the missing force. Under feedback a table would draw the controller's law: none is fitted."""
         if self.feedback:
             return FreeForce()
         search = self.search

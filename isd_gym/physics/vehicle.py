@@ -182,7 +182,7 @@ class Vehicle:
 
     @cached_property
     def static_tyre_loads(self) -> tuple[float | None, ...]:
-        """Static load of each tyre [N]; None for a body that does not rest on its wheels."""
+        """Static load of each tyre [N]; None where the wheels do not carry the body."""
         if not self.network.bodies:
             return (GRAVITY * sum(self.network.masses.values()),)
         try:

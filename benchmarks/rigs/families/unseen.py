@@ -1,4 +1,4 @@
-"""Families that are kept aside: other benches, other laws that no library has. Looked at once, when all else is settled.
+"""Families kept aside: new benches, and laws outside every library. They are run once, after all development.
 
 Nothing may be developed on these. `KINDS` does not hold them; `benchmarks/diagnose.py --suite unseen --seeds N` runs them,
 with a seed that has not been used before, and docs/validation/diagnosis.md says which seeds were.
