@@ -12,7 +12,7 @@ from isd_gym.diagnosis import Hypothesis
 from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._planning.design import design_test
 from isd_gym.diagnosis._planning.excitation import (
-    KINDS,
+    SHAPES,
     Excitation,
     Rig,
     infer_rig,
@@ -37,12 +37,13 @@ MASS = Network.load(
 SHORT = Rig({"stroke": (0.01, np.inf)}, (1.0, 7.0), 8.0, 0.008)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SHAPES)
 def test_an_excitation_keeps_within_the_rigs_limits(kind):
     network = Network.load("quarter-car-isd")
     limits = {"road": (0.02, 0.3), "current": (4.0, np.inf)}
     rig = Rig(limits, (0.5, 15.0), 10.0, 2e-3)
-    played = Excitation(kind, rig.band, ("road", "current")).signals(network, rig)
+    test = Excitation(kind, rig.band, ("road", "current"))
+    played = make_record(network, rig, test).inputs
     road, current = played["road"], played["current"]
     assert np.abs(road).max() <= 0.02 * (1 + 1e-9)
     assert np.abs(np.diff(road)).max() / rig.step <= 0.3 * (1 + 1e-9)
@@ -62,7 +63,7 @@ def test_limits_come_from_the_records():
     assert rig.length == pytest.approx(8.0, rel=0.01)
     assert 0.5 < rig.band[0] < 1.5
     assert 3.0 < rig.band[1] < 7.0
-    assert {e.kind for e in list_excitations(MASS, rig)} == set(KINDS)
+    assert {e.kind for e in list_excitations(rig)} == set(SHAPES)
 
 
 def rival(effect, **values):
@@ -76,17 +77,17 @@ def test_a_designed_test_separates_rivals_better_than_the_usual_one():
     usual = Excitation("multisine", SHORT.band, ("stroke",))
     tests = [
         usual,
-        Excitation("triangle", SHORT.band, ("stroke",), 0.4),
+        Excitation("steps", SHORT.band, ("stroke",), 0.4),
         Excitation("sweep", SHORT.band, ("stroke",), 0.3),
     ]
     noise = np.array([0.05])
 
     def distance(tests, noise=noise):
-        return design_test(MASS, left, SHORT, noise, tests).separation.distance
+        return design_test(MASS, left, SHORT, noise, tests).distance
 
     found = design_test(MASS, left, SHORT, noise, tests)
-    assert found.separation.distance >= distance([usual]) > 0
-    assert set(found.separation.closest) == {"coulomb_friction", "linear_damping"}
+    assert found.distance >= distance([usual]) > 0
+    assert set(found.closest) == {"coulomb_friction", "linear_damping"}
     assert np.abs(found.record.inputs["stroke"]).max() <= 0.01 + 1e-12
-    assert distance(tests, 10 * noise) < found.separation.distance
+    assert distance(tests, 10 * noise) < found.distance
     assert found.table(MASS).columns.keys() == {"stroke [mm]"}

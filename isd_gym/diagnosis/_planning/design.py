@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,34 +32,26 @@ SAMPLES = 12000
 
 
 @dataclass(frozen=True, eq=False)
-class Separation:
-    """Distance of the two closest rivals under a test, after a refit of one to the other."""
+class Design:
+    """A designed test and the two closest rivals under the test."""
 
-    #: distance [standard deviations of the noise, over the whole record]
+    excitation: Excitation
+    #: record with the inputs of the test
+    record: Record
+    #: distance of the two rivals, after a refit of one to the other [standard deviations of the noise, over the whole record]
     distance: float
     #: names of the two rivals
     closest: tuple[str, str]
     #: channel with the largest difference
     watch: str
 
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """A designed test."""
-
-    excitation: Excitation
-    rig: Rig
-    #: record with the inputs of the test
-    record: Record
-    separation: Separation
-
     def to_dict(self, network: Network) -> dict[str, Any]:
         """Return the test as `next_experiment` of a diagnosis."""
         return {
-            "do": self.excitation.describe(network, self.rig),
-            "watch": self.separation.watch,
-            "separates": list(self.separation.closest),
-            "separation_sigma": self.separation.distance,
+            "do": self._describe(network),
+            "watch": self.watch,
+            "separates": list(self.closest),
+            "separation_sigma": self.distance,
             "excitation": asdict(self.excitation),
         }
 
@@ -70,14 +61,29 @@ class Design:
             f"{c.name} [{c.unit}]": convert(self.record.inputs[c.name], c.si, c.unit)
             for c in network.inputs
         }
-        time = self.record.step * np.arange(self.record.samples)
-        return Table(time, columns, "planned test")
+        return Table(self.record.time, columns, "planned test")
+
+    def _describe(self, network: Network) -> str:
+        """Return the test in words, such as ``multisine, 0.5 to 15 Hz, 20 s: road to 8.2 mm``."""
+        e = self.excitation
+        sizes = []
+        for c in network.inputs:
+            if c.name in e.at:
+                size = float(np.abs(self.record.inputs[c.name]).max())
+                is_length = c.quantity == "displacement"
+                text = f"{1e3 * size:.3g} m" if is_length else f"{size:.3g} "
+                sizes.append(f"{c.name} to {text}{c.si}")
+        low, high = e.band_hz
+        length = self.record.time[-1]
+        return (
+            f"{e.kind}, {low:.3g} to {high:.3g} Hz, {length:g} s: {' and '.join(sizes)}"
+        )
 
 
 def separate(
     network: Network, record: Record, rivals: Sequence[Fit], noise: Array
-) -> Separation:
-    """Return how far a test separates rivals: each in turn is the truth, and the others are refitted, to first order.
+) -> tuple[float, tuple[str, str], str]:
+    """Return how far a test separates the two closest rivals: each in turn is the truth, and the others are refitted, to first order.
 
     Args:
         network: The nominal model.
@@ -85,31 +91,34 @@ def separate(
         rivals: The rivals.
         noise: RMS noise (channels,) [unit of the channel].
 
+    Returns:
+        `distance`, `closest` and `watch` of a `Design`.
+
     Raises:
         InputError: The simulation of a rival fails.
     """
     blank = Problem(network, [record])
-    outputs = [blank.simulate([r.structure.at(r.x)], 0)[:, :, 0] for r in rivals]
-    if not all(np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in outputs):
+    simulated = [blank.simulate([r.structure.at(r.x)], 0) for r in rivals]
+    outputs = np.concatenate(simulated, axis=2)
+    if not (np.isfinite(outputs).all() and np.abs(outputs).max() <= 1e12):
         raise InputError("the simulation of a rival fails")
-    largest = np.max([y.std(axis=0) for y in outputs], axis=0)
+    largest = outputs.std(axis=0).max(axis=1)
     level = np.maximum(noise, LEAST_NOISE * largest)
-    problem = Problem(network, [replace(record, measured=outputs[0])])
+    problem = Problem(network, [replace(record, measured=outputs[:, :, 0])])
     fitter = Fitter(problem, white_weights(np.where(level > 0, level, 1.0)))
-    found = Separation(math.inf, ("", ""), "")
-    for rival, own in zip(rivals, outputs, strict=True):
+    power = np.full((len(rivals), len(rivals), len(network.outputs)), np.inf)
+    for k, rival in enumerate(rivals):
         rest = np.zeros(assemble(rival.structure.network.mechanical).size[0])
         fit = fitter.fit(rival.structure, rival.x, {0: rest}, iterations=0)
-        for truth, other in zip(rivals, outputs, strict=True):
-            if truth is rival:
-                continue
-            _, left = fitter.refit(fit, {0: (other - own)[:, :, None]})
-            power = np.sum(left[0][:, :, 0] ** 2, axis=0)
-            distance = float(np.sqrt(power.sum()))
-            if distance < found.distance:
-                watch = network.outputs[int(np.argmax(power))].name
-                found = Separation(distance, (truth.label, rival.label), watch)
-    return found
+        others = np.arange(len(rivals)) != k
+        changes = outputs[:, :, others] - outputs[:, :, [k]]
+        _, left = fitter.refit(fit, {0: changes})
+        power[k, others] = np.sum(left[0] ** 2, axis=0).T
+    distance = np.sqrt(power.sum(axis=2))
+    own, truth = divmod(int(np.argmin(distance)), len(rivals))
+    watch = network.outputs[int(np.argmax(power[own, truth]))].name
+    closest = rivals[truth].label, rivals[own].label
+    return float(distance[own, truth]), closest, watch
 
 
 def design_test(
@@ -134,17 +143,15 @@ def design_test(
     rivals = rivals[:MAX_RIVALS]
     if len(rivals) < 2:
         return None
-    best: Design | None = None
-    for e in tests or list_excitations(network, rig):
+    designs = []
+    for e in tests or list_excitations(rig):
         record = make_record(network, rig, e)
         head = record.part(0, min(len(record), SAMPLES), record.name)
         try:
-            found = separate(network, head, rivals, noise)
+            designs.append(Design(e, record, *separate(network, head, rivals, noise)))
         except BROKEN:
             continue
-        if best is None or found.distance > best.separation.distance:
-            best = Design(e, rig, record, found)
-    return best
+    return max(designs, key=lambda d: d.distance, default=None)
 
 
 def next_experiment(
@@ -158,14 +165,10 @@ def next_experiment(
         floor: RMS noise (channels,) [unit of the channel].
 
     Returns:
-        The test, or None if the model has no inputs or no test can be designed.
+        The test, or None if the records show no rig or no test can be designed.
     """
-    if not problem.network.inputs:
-        return None
-    try:
-        rig = infer_rig(
-            problem.network, [problem.records[i] for i in problem.estimation]
-        )
-    except InputError:
+    records = [problem.records[i] for i in problem.estimation]
+    rig = infer_rig(problem.network, records)
+    if rig is None:
         return None
     return design_test(problem.network, contenders, rig, floor)
