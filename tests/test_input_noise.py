@@ -12,7 +12,7 @@ from isd_gym.diagnosis._estimation.exchanged_roles import (
     swap_roles,
 )
 from isd_gym.diagnosis._estimation.noise import floors_of, propagate_input_noise
-from isd_gym.diagnosis._records.filtering import estimate_white_noise, find_noise_band
+from isd_gym.diagnosis._records.filtering import estimate_white_noise
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 
 STEP, SAMPLES = 0.01, 3000
@@ -103,15 +103,6 @@ def test_white_noise_is_told_from_smooth_motion():
     noise = 1e-5 * rng.standard_normal(SAMPLES)
     assert estimate_white_noise(x + noise) == pytest.approx(1e-5, rel=0.1)
     assert estimate_white_noise(x) < 1e-9
-
-
-def test_the_low_pass_ends_where_noise_rules_the_computed_force():
-    """White noise of 1e-4 m makes 2 sigma^2 dt m^2 w^4 of the force's power density, the cell has 2 s^2 dt: equal at w = sqrt(s / m sigma)."""
-    records = [as_record(*moved(k), 1e-4, k, cell=0.5) for k in range(4)]
-    equal = np.sqrt(0.5 / (MASS * 1e-4)) / (2 * np.pi)
-    assert find_noise_band(records, rig()) == pytest.approx(equal, rel=0.2)
-    quiet = [as_record(*moved(k), 1e-8, k, cell=0.5) for k in range(4)]
-    assert find_noise_band(quiet, rig()) == np.inf
 
 
 @pytest.mark.parametrize("friction", [0.0, 2.0])

@@ -14,10 +14,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import firwin, welch
 
-from ..._common.units import convert
-from ...physics.network import MOTIONS, natural_frequencies, transfer
+from ...physics.network import MOTIONS, natural_frequencies
 from .._simulation.interpolation import differences
-from .._simulation.problem import BROKEN, low_pass
+from .._simulation.problem import low_pass
 from .multirate import build_record
 
 if TYPE_CHECKING:
@@ -28,22 +27,18 @@ if TYPE_CHECKING:
     from .._simulation.problem import Record
 
 QUIET = 0.02  # relative noise (RMS) of a derivative below which no low-pass is needed
-WIDE = 0.7  # share of the Nyquist frequency above which a low-pass removes too little to be worth its margins
 #: Cutoff of the low-pass as a share of the Nyquist frequency of the compared samples; the roll-off takes the rest.
 FILLED = 0.85
 #: Share of the cutoff up to which the low-pass keeps a signal whole (the gain at the cutoff is one half).
 PASSED = 0.75
 #: Ratio of power density to noise density above which an output holds a signal (2: equal parts).
 VISIBLE = 2.0
-#: Share of an output's power above its noise to keep at any frequency. The remainder of a force with the sign of a rate is
-#: harmonics, and a comparison of the harmonics needs noisier derivatives.
-KEPT = 0.95
+#: Share of an output's power above its noise to keep. The remainder of a force with the sign of a rate is harmonics, and a
+#: comparison of the harmonics needs noisier derivatives.
+KEPT = 0.93
 #: Multiple of the natural frequencies up to which the model resonates; the low-pass keeps the whole signal of this band.
 ABOVE_RESONANCE = 2.0
-#: Factor about a natural frequency within which input motion counts as excitation, since nominal parameters may be off.
-NEAR = 1.25
-#: Least number of independent periodogram values in a smoothed power density, for a standard error of about 12 %.
-AVERAGES = 64
+AVERAGED = 16  # neighbouring frequencies whose mean power density is one of noise
 LENGTH = 2048  # largest number of samples of a periodogram
 ORDERS = range(2, 7)  # differences from which white noise is estimated
 LEAST_COMPARED = 60  # least number of compared samples of a record behind a low-pass
@@ -108,53 +103,35 @@ def _highest_derivative(network: Network, node: str) -> int:
 
 
 def choose_decimation(records: Sequence[Record], network: Network) -> int:
-    """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency: it ends at the
-    noise of the derivatives of the inputs, but never within the signal band of the outputs."""
-    orders = count_derivatives(network)
-    nyquist = 0.5 / records[0].step
-    bands = [
-        find_derivative_band(r, network, c, orders[c.name])
-        for r in records
-        for c in network.moving
-        if c.name in orders
-    ]
-    noisy = find_noise_band(records, network)
-    end = min([*bands, noisy])
-    if end > WIDE * nyquist:
+    """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency: 1 if no input
+    has noisy derivatives, else as many as the signal band of the outputs permits."""
+    orders = count_derivatives(network).items()
+    if max(_relative_noise(records, *order) for order in orders) < QUIET:
         return 1
-    # the measured force above that frequency cannot be compared
-    keep = min(max(find_signal_band(r, network) for r in records), noisy)
-    most = FILLED * PASSED * nyquist / max(keep, 1e-300)
-    most = min(most, min(map(len, records)) / LEAST_COMPARED)
-    return max(min(math.ceil(nyquist / end), math.floor(most)), 1)
+    highest = max(find_signal_band(r, network) for r in records)
+    most = FILLED * PASSED * 0.5 / (records[0].step * max(highest, 1e-300))
+    return max(math.floor(min(most, min(map(len, records)) / LEAST_COMPARED)), 1)
 
 
-def find_noise_band(records: Sequence[Record], network: Network) -> float:
-    """Return the frequency [Hz] from which on the noise of a force computed from a twice differentiated motion, which grows with the
-    square of the frequency, has more power than the measured force, there and in sum beyond; or infinity."""
-    step, lowest = records[0].step, math.inf
-    usable = [r for r in records if r.reading is None and len(r) == r.samples >= 64]
-    length = min([LENGTH, *(len(r) // 4 for r in usable)])
-    for motion, force in find_computed_forces(network) if usable else ():
-        j, k = network.outputs.index(force), network.inputs.index(motion)
-        noise = float(
-            np.median([estimate_white_noise(r.inputs[motion.name]) for r in usable])
-        )
-        measured = [r.measured[:, j] - r.measured[:, j].mean() for r in usable]
-        spectra = [welch(y, 1 / step, nperseg=length) for y in measured]
-        frequency, seen = spectra[0][0], np.mean([s for _, s in spectra], axis=0)
-        try:
-            gain = transfer(network, frequency)[:, j, k] * convert(
-                1.0, force.si, force.unit
-            )
-        except BROKEN:
-            continue
-        made = np.abs(gain) ** 2 * 2 * noise**2 * step
-        above = np.flatnonzero(
-            (made > seen) & (np.cumsum((made - seen)[::-1])[::-1] > 0)
-        )
-        lowest = min([lowest, *frequency[above[:1]].tolist()])
-    return lowest
+def _relative_noise(records: Sequence[Record], name: str, order: int) -> float:
+    """Return the RMS noise of the differences of an input, relative to the differences."""
+    signals = [r.inputs[name] for r in records]
+    noise = max(estimate_white_noise(x) for x in signals)
+    whole = max(np.diff(x, order).std() for x in signals)
+    return float(noise * math.sqrt(math.comb(2 * order, order)) / max(whole, 1e-300))
+
+
+def find_signal_band(record: Record, network: Network) -> float:
+    """Return the highest frequency [Hz] of the signals in a record: of the resonances of the model, and of `KEPT` of the power of each
+    output."""
+    bands = [ABOVE_RESONANCE * float(natural_frequencies(network).max(initial=0.0))]
+    for y in record.measured.T:
+        length = min(LENGTH, len(y) // 4)
+        f, density = welch(y - y.mean(), 1 / record.interval, nperseg=length)
+        noise = uniform_filter1d(density[1:-1], AVERAGED).min()
+        power = np.cumsum(np.maximum(density - VISIBLE * noise, 0.0))
+        bands.append(float(f[np.searchsorted(power, KEPT * power[-1])]))
+    return max(bands)
 
 
 def find_computed_forces(network: Network) -> list[tuple[Channel, Channel]]:
@@ -180,115 +157,3 @@ def estimate_white_noise(x: Array) -> float:
         if len(x) > 2 * m
     ]
     return math.sqrt(float(min(variances, default=0.0)))
-
-
-def find_derivative_band(
-    record: Record, network: Network, channel: Channel, order: int
-) -> float:
-    """Return the frequency [Hz] up to which the derivative of an input is signal: that of the valley between motion and noise, or that of
-    `_find_force_band`; infinite if its noise is negligible."""
-    x, step = record.inputs[channel.name], record.step
-    f, density = _estimate_density(np.diff(x, order), step)
-    width = max(3, len(f) // 64)
-    level = _smooth_logarithm(density, width)
-    peak = int(np.argmax(level[: max(2, len(f) // 2)]))
-    valley = peak + int(np.argmin(level[peak : len(f) - width]))
-    if math.sqrt(density[valley:].sum() / max(density.sum(), 1e-300)) < QUIET:
-        return math.inf
-    end = float(f[valley])
-    sensors = [
-        j
-        for j, c in enumerate(network.outputs)
-        if c.quantity == "force" and c.at == channel.at
-    ]
-    if sensors and len(record) == len(x):
-        motion = _integrate_density(f, density, step, order)
-        found = _find_force_band(
-            record, network, channel, sensors[0], f, motion, valley
-        )
-        end = end if found is None else found
-    return max(end, float(20 * f[1]))
-
-
-def _find_force_band(
-    record: Record,
-    network: Network,
-    channel: Channel,
-    output: int,
-    frequency: Array,
-    motion: Array,
-    valley: int,
-) -> float | None:
-    """Return the frequency [Hz] above which the force computed from a measured motion has more than 1.5 times the power of the measured
-    force: noise, since a missing effect causes an excess at some frequencies only. None if the model has no frequency response."""
-    try:
-        gain = transfer(network, frequency)[:, output, network.inputs.index(channel)]
-    except BROKEN:
-        return None
-    width = max(3, len(frequency) // 64)
-    top = len(frequency) - width
-    computed = _smooth_logarithm(motion * np.abs(gain) ** 2, width)
-    seen = _smooth_logarithm(
-        _estimate_density(record.measured[:, output], record.step)[1], width
-    )
-    computed = computed * (
-        seen[:valley].sum() / max(computed[:valley].sum(), 1e-300)
-    )  # parameters may be off
-    signal = np.flatnonzero(computed[:top] < 1.5 * seen[:top])
-    return float(frequency[signal[-1]]) if len(signal) else 0.0
-
-
-def find_signal_band(record: Record, network: Network) -> float:
-    """Return the highest frequency [Hz] of the signals in a record: of every signal within the resonance of the model and of
-    displacements, of `KEPT` of the power of other outputs, and of every natural frequency in the motion of an input."""
-    natural = natural_frequencies(network)
-    resonant = ABOVE_RESONANCE * float(natural.max(initial=0.0))
-    highest = 0.0
-    for c, y in zip(network.outputs, record.measured.T, strict=True):
-        f, density = _estimate_density(y, record.interval)
-        seen = _smooth(density)
-        above = np.maximum(seen - VISIBLE * float(seen.min()), 0.0)
-        power = np.cumsum(above)
-        bulk = f[np.searchsorted(power, KEPT * power[-1])] if power[-1] > 0 else 0.0
-        holds = (above > 0) & ((f < resonant) | (c.quantity == "displacement"))
-        highest = max(highest, float(bulk), float(f[holds].max(initial=0.0)))
-    for c in network.moving:
-        f, density = _estimate_density(np.diff(record.inputs[c.name]), record.step)
-        motion = _smooth(_integrate_density(f, density, record.step, 1))
-        moves = motion > VISIBLE * float(motion.min())
-        for at in natural:
-            if moves[(f > at / NEAR) & (f < at * NEAR)].any():
-                highest = max(highest, ABOVE_RESONANCE * float(at))
-    return highest
-
-
-def _estimate_density(values: Array, step: float) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and one-sided power density of a signal (n,) without its mean."""
-    return welch(
-        values - values.mean(), 1 / step, nperseg=min(LENGTH, len(values) // 4)
-    )
-
-
-def _integrate_density(
-    frequency: Array, density: Array, step: float, order: int
-) -> Array:
-    """Return the power density of a signal from the density of its differences of the given order."""
-    return density / np.maximum(2 * np.sin(math.pi * frequency * step), 1e-9) ** (
-        2 * order
-    )
-
-
-def _smooth_logarithm(density: Array, width: int) -> Array:
-    """Return geometric means of a power density over `width` neighbouring frequencies."""
-    window = np.ones(width) / width
-    return np.exp(np.convolve(np.log(np.maximum(density, 1e-300)), window, mode="same"))
-
-
-def _smooth(density: Array) -> Array:
-    """Return means of a power density over neighbouring frequencies, of at least `AVERAGES` independent values."""
-    inner = density.copy()
-    # the mean is removed and the density one-sided: the first and the last values are no noise densities
-    inner[:2], inner[-1] = density[2], density[-2]
-    return uniform_filter1d(
-        inner, max(len(density) // 64, AVERAGES // 7, 3), mode="nearest"
-    )
