@@ -9,11 +9,8 @@ from test_law_sets import COULOMB, DRAG, SHARED, answer, row
 
 from isd_gym.diagnosis import CRITERIA, Criteria, Evidence
 from isd_gym.diagnosis._result_builder import ResultBuilder, closed
-from isd_gym.diagnosis._selection.answer import removed_share
-from isd_gym.diagnosis._selection.conditions import table_gates
 from isd_gym.diagnosis._selection.contradictions import repeats
 from isd_gym.diagnosis._selection.criteria import table
-from isd_gym.diagnosis._selection.free_force import FreeForce
 from isd_gym.diagnosis._verdict.gates import decide
 from isd_gym.diagnosis._verdict.grades import share_mistaken
 from isd_gym.physics.elements import TYPES, Motion
@@ -135,41 +132,17 @@ def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition():
     assert repeats(wave, Motion(often, 0 * often, 0 * often))
 
 
-def test_a_table_that_explains_the_validation_records_alone_is_not_confirmed():
-    confirmed = removed_share(np.array([0.4]), np.array([0.39]), np.array([0.01]))
-    assert confirmed == pytest.approx((0.4**2 - 0.39**2) / (0.4**2 - 0.01**2))
-    assert [
-        g.name for g in table_gates(0.96, 0.49, 8.0, confirmed) if not g.passed
-    ] == ["confirmed"]
-
-
-def completes(refit, law, table=None):
-    """Whether a law completes a model, by errors on validation and on test records."""
-    rows = [
-        replace(row(v, *members), test=np.array([t]))
-        for (v, t), members in ((refit, ()), (law, (COULOMB,)))
-    ]
-    found = SimpleNamespace(refit=rows[0], foremost=rows[1])
-    builder = SimpleNamespace(answer=found, search=SimpleNamespace(criteria=CRITERIA))
-    return ResultBuilder._is_supported(builder, FreeForce(row=table))
-
-
 @pytest.mark.parametrize(
-    ("refit", "law", "told"),
-    [
-        ((0.4, 0.3), (0.2, 0.2), True),
-        ((0.4, 0.3), (0.41, 0.2), False),  # errs more on validation records
-        ((0.4, 0.3), (0.2, 0.31), False),  # errs more on test records
-        # sqrt(0.3^2 - 0.299^2) = 2.4 % of the deviation: nobody would notice
-        ((0.4, 0.3), (0.2, 0.299), False),
-    ],
+    ("explained", "on_test", "told"),
+    [(0.6, 0.7, True), (0.4, 0.7, False), (0.6, 0.4, False)],
 )
-def test_a_law_completes_a_model_that_it_improves_on_validation_and_on_test_records(
-    refit, law, told
+def test_a_law_without_a_name_completes_a_model_where_it_removes_half(
+    explained, on_test, told
 ):
-    assert completes(refit, law) == told
-
-
-def test_the_table_of_a_free_force_and_the_law_compete_on_validation_records():
-    assert completes((0.4, 0.3), (0.2, 0.2), row(0.25))
-    assert not completes((0.4, 0.3), (0.2, 0.2), row(0.15))
+    evidence = replace(GOOD, explained=explained, test_explained=on_test)
+    builder = SimpleNamespace(
+        answer=SimpleNamespace(foremost=row(0.2, COULOMB)),
+        measured=SimpleNamespace(evidence=evidence),
+        search=SimpleNamespace(criteria=CRITERIA),
+    )
+    assert ResultBuilder._is_supported(builder) == told

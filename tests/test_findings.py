@@ -11,7 +11,7 @@ from test_criteria import GOOD
 from test_words import NONE, document
 
 from isd_gym.diagnosis import CRITERIA
-from isd_gym.diagnosis._selection.weights import FREE_FORCE, Statement, WeightedSet
+from isd_gym.diagnosis._selection.held_out_table import Member
 from isd_gym.diagnosis._verdict.findings import Finder
 from isd_gym.diagnosis._verdict.grades import MISTAKEN, OBSERVED, grade, observed
 from isd_gym.diagnosis._verdict.wording import summary_of
@@ -21,13 +21,17 @@ FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
 NO_LAWS = SimpleNamespace(hypotheses=(), elements=())
 
 
+def member(place, mechanism, effect):
+    return Member(effect, place, mechanism, "between")
+
+
 def friction(place):
-    return Statement(place, "dry_friction", "coulomb_friction")
+    return member(place, "dry_friction", "coulomb_friction")
 
 
 def found(*weighted, named=(), is_doubted=False, **changes):
-    """Findings of sets: pairs of a weight and the statements of a set; `changes` of the evidence."""
-    sets = [WeightedSet(NO_LAWS, w, frozenset(s)) for w, s in weighted]
+    """Findings of sets: pairs of a weight and the members of a set; `changes` of the evidence."""
+    sets = [(SimpleNamespace(fit=NO_LAWS, members=tuple(s)), w) for w, s in weighted]
     evidence = replace(GOOD, **changes)
     return Finder(CRITERIA, sets, evidence, {}, frozenset(named), is_doubted).find()
 
@@ -50,8 +54,8 @@ def test_a_kind_that_two_places_share_is_certain_and_its_place_is_open():
     [
         (((0.9, [friction(FRONT)]), (0.1, [friction(REAR)])), ()),  # the place is certain
         (((0.6, [friction(FRONT)]), (0.4, [friction(REAR)])), [friction(FRONT)]),
-        (((0.5, [friction(FRONT)]), (0.5, [Statement(FRONT, "dry_friction", "stribeck_friction")])), ()),  # one place
-        (((0.6, [friction(FRONT)]), (0.4, [Statement(REAR, "viscous", "linear_damping")])), ()),  # two kinds
+        (((0.5, [friction(FRONT)]), (0.5, [member(FRONT, "dry_friction", "stribeck_friction")])), ()),  # one place
+        (((0.6, [friction(FRONT)]), (0.4, [member(REAR, "viscous", "linear_damping")])), ()),  # two kinds
     ],
 )  # fmt: skip
 def test_no_open_place_where_a_place_is_certain_or_kinds_differ(sets, named):
@@ -80,14 +84,11 @@ def test_statements_of_a_set_that_explains_a_part_or_was_not_needed_are_doubted(
         == doubted.laws[0].probability
         == pytest.approx(1 - MISTAKEN["extra"])
     )
-    (table,) = found((1.0, [Statement(FRONT, "other", FREE_FORCE)]), explained=0.3)
-    assert table.place_probability == pytest.approx(1 - MISTAKEN["kind"])
-    assert table.kind_probability == pytest.approx(1 - MISTAKEN["free"])
 
 
 def test_a_law_has_the_weight_of_the_sets_that_contain_it():
-    further = Statement(FRONT, "viscous", "quadratic_damping")
-    rival = Statement(FRONT, "dry_friction", "hysteresis")
+    further = member(FRONT, "viscous", "quadratic_damping")
+    rival = member(FRONT, "dry_friction", "hysteresis")
     both, beside = found(
         (0.8, [friction(FRONT), further]), (0.1, [friction(FRONT)]), (0.1, [rival])
     )

@@ -201,8 +201,8 @@ isd_gym.view.report.charts
     also Axis COLUMNS Chart Dots Item Line MOST_DOTS Marks Panel QUIET Rule Span Ticks decades draw log_ticks
     picture
 isd_gym.view.report.diagnosis
-    also AFTER BEFORE FIGURES MEASURED MOST_CHANNELS MOST_LOOPS OVER PERIODS RELATIONS STAGES STRETCH Scale
-    View WORST check_target draw_gap draw_law draw_loops draw_parameters draw_spectra draw_time learned
+    also AFTER BEFORE FIGURES MEASURED MOST_CHANNELS MOST_LOOPS PERIODS RELATIONS STAGES STRETCH Scale View
+    WORST check_target draw_gap draw_law draw_loops draw_parameters draw_spectra draw_time learned
     write_report
 isd_gym.view.report.forces
     also Curve GRID Law Loops Missing TAPER laws_of measured_loops missing_force

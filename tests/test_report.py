@@ -13,7 +13,7 @@ import matplotlib
 import matplotlib.figure
 import numpy as np
 import pytest
-from builders import element, rms, sines
+from builders import rms, sines
 from html_page import Page
 from program import printed, read_json, refused, run
 from test_criteria import NONE
@@ -30,7 +30,6 @@ from isd_gym.diagnosis import (
     Quantity,
     Trace,
 )
-from isd_gym.diagnosis._selection.free_force import Tabulated
 from isd_gym.diagnosis._verdict.gates import gates_of
 from isd_gym.diagnosis.result import BestCandidate, ScreenedPlace
 from isd_gym.physics.elements import TYPES, CoulombFriction
@@ -138,48 +137,26 @@ CURVES = ["steps", "loops", "gap", "time"]
 FIGURES = [*CURVES, "spectra", "law", "parameters"]
 #: of friction that leaves nearly all
 GATES = gates_of(NONE)
-#: verdicts, one of them with a table of the missing force
-TABULATED = "unknown_effect with a table"
-KINDS = (
-    "missing_effect",
-    "no_discrepancy",
-    "parameters_only",
-    "unknown_effect",
-    TABULATED,
-)
+KINDS = ("missing_effect", "no_discrepancy", "parameters_only", "unknown_effect")
 
 
 def of_kind(d, kind):
     """The result of another verdict, over the records of `d`, whose model lacks the friction of a seal."""
     if kind == "missing_effect":
         return d
-    verdict, model, tabulated = kind.split()[0], d.base, None
     traces = [replace(t, after=t.refit) for t in d.traces]
-    if verdict in ("no_discrepancy", "parameters_only"):  # the simulation agrees
+    if kind in ("no_discrepancy", "parameters_only"):  # the simulation agrees
         traces = [replace(t, before=t.after, refit=t.after) for t in d.traces]
-    if kind.endswith("a table"):
-        rate = np.linspace(-0.3, 0.3, 31)
-        force = LEVEL * np.sign(rate)
-        table = {"rate": rate.tolist(), "force": force.tolist()}
-        model = d.base.with_element(
-            element("missing_force", "tabulated_force", "piston", "joint", **table)
-        )
-        says = [simulate(model, t.time, t.inputs) for t in d.traces]
-        traces = [replace(t, after=y) for t, y in zip(traces, says, strict=True)]
-        tabulated = Tabulated(
-            ("piston", "joint"), "rate", "missing_force", 0.93, (), tuple(rate), force, 0.95 * force, 1.05 * force,
-        )  # fmt: skip
     gap = errors_of(traces[-1])
     evidence = evidence_of(gap, explained=0.42)
     best = BestCandidate(
         ("hysteresis",), (("piston", "joint"),), ({"level": 120.0, "stiffness": 1e6},), 0.42, gap, tuple(g for g in GATES if not g.passed)
     )  # fmt: skip
     made = replace(
-        d, verdict=verdict, summary=f"So: {verdict}.", effects=(), sets=(), closed=0.9 if tabulated else None,
-        gates=GATES, evidence=evidence, best_candidate=best, gap=gap, model=model, traces=tuple(traces),
-        tabulated=tabulated,
+        d, verdict=kind, summary=f"So: {kind}.", effects=(), sets=(), closed=None,
+        gates=GATES, evidence=evidence, best_candidate=best, gap=gap, model=d.base, traces=tuple(traces),
     )  # fmt: skip
-    if verdict in ("no_discrepancy", "parameters_only"):
+    if kind in ("no_discrepancy", "parameters_only"):
         own = replace(
             made, base=d.model, refitted=d.model, model=d.model, where=(), gates=()
         )
@@ -338,37 +315,6 @@ def test_report_stands_alone_and_says_it_all(written):
     assert Network.load(path.parent / "model.json").element("seal").level == LEVEL
 
 
-def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
-    """The force is in the text, the law chart, the drawing, and wherever the old model stands beside the new one."""
-    d = of_kind(diagnosis, "unknown_effect with a table")
-    path = report.write_report(d, tmp_path / "x")
-    page = reopened(d, path)
-    assert "Force between piston and joint, as a table over rate" in page.text
-    # a known law gives nearly all of the force: the page must not say that none does
-    assert "no known effect passes the checks for a name" in page.text
-    assert (
-        "no law of the library explains" not in page.text
-        and "gives this force" not in page.text
-    )
-    # heads of the gap and parameter tables, the words on the stages
-    assert page.text.count("with the force") == 3
-    drawings = re.findall(
-        r'<svg[^>]*class="schematic".*?</svg>', path.read_text(), re.S
-    )
-    assert ['data-part="el:missing_force"' in text for text in drawings] == [
-        False,
-        True,
-    ]
-    drawn = {file.stem: file.read_text() for file in path.parent.glob("*.svg")}
-    assert "with the force" in drawn["gap"] and "completed model" in drawn["time"]
-    assert "residual of the completed model" in drawn["spectra"]
-    # the law is that of the result
-    law = next(
-        i for i in report.draw_law(report.View(d)).panels[0].items if i.name == "law"
-    )
-    assert law.y == pytest.approx(d.tabulated.force)
-
-
 def test_parameters_are_marked_as_biased_where_nothing_is_named(diagnosis):
     for kind in KINDS:
         view = report.View(of_kind(diagnosis, kind))
@@ -381,7 +327,7 @@ def test_parameters_are_marked_as_biased_where_nothing_is_named(diagnosis):
 def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
     told = "'missing_effect', found=['coulomb_friction piston-joint'], closed=0.99, 2 record(s)"
     assert repr(diagnosis) == f"Diagnosis({told})"
-    for kind in ("missing_effect", "no_discrepancy", "unknown_effect with a table"):
+    for kind in KINDS:
         d = of_kind(diagnosis, kind)
         assert len(repr(d)) < 200 and repr(d).startswith(f"Diagnosis('{d.verdict}'")
         text = d._repr_html_()

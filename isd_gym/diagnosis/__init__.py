@@ -14,10 +14,10 @@ Data go one way, from the first of these packages to the last:
 """
 
 from ._hypotheses.library import Hypothesis, hypotheses
-from ._selection.conditions import Gate
 from ._selection.criteria import CRITERIA, Criteria
 from ._selection.settings import SearchSettings
 from ._verdict.evidence import Evidence
+from ._verdict.gates import Gate
 from ._workflow import diagnose
 from .result import Diagnosis, Effect, LawSet, Place, Quantity, Trace
 

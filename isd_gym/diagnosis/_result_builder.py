@@ -19,13 +19,11 @@ from ._estimation.structure import (
 )
 from ._planning.design import next_experiment
 from ._selection.answer import beyond_noise, removed_share
-from ._selection.free_force import FreeForce, fit_free_force
 from ._selection.uncertainty import intervals, with_posterior
-from ._selection.weights import Statement, weigh
 from ._simulation.problem import BROKEN
 from ._simulation.time_limit import RESULT, TimeUp
 from ._verdict.explanation import locate_errors
-from ._verdict.findings import Finder
+from ._verdict.findings import Finder, weighted_sets
 from ._verdict.wording import summary_of
 from .result import (
     BestCandidate,
@@ -87,12 +85,9 @@ class ResultBuilder:
         verdict, refit = decision.verdict, self.answer.refit
         final = self.answer.foremost
         is_named = verdict == "missing_effect"
-        free = self._free_force() if verdict == "unknown_effect" else FreeForce()
-        findings = self._attempt("the probabilities", self._findings, free) or ()
-        completes = verdict == "unknown_effect" and self._is_supported(free)
-        if not completes and free.row is not None:
-            final = free.row
-        elif not completes and verdict not in ("missing_effect", "ambiguous"):
+        findings = self._attempt("the probabilities", self._findings) or ()
+        completes = verdict == "unknown_effect" and self._is_supported()
+        if not completes and verdict not in ("missing_effect", "ambiguous"):
             final = refit
         quantities = posterior = measured.quantities
         if not is_named:
@@ -102,8 +97,6 @@ class ResultBuilder:
             quantities = found or {}
         if final is refit:
             posterior = quantities
-        elif final is not self.answer.foremost:
-            posterior = {}
         effects = self._effects(findings) if is_named else ()
         rows = self._errors(final)
         noise = measured.noise * search.evaluator.validation_deviation
@@ -118,8 +111,6 @@ class ResultBuilder:
         result = Diagnosis(
             verdict=verdict,
             summary="",
-            tabulated=None if completes else free.tabulated,
-            best_table=free.best,
             best_candidate=self._rejected(rows, completes),
             reason=decision.reason,
             remainder=self._remainder(rows) if is_named else None,
@@ -152,16 +143,12 @@ class ResultBuilder:
         )
         return replace(result, summary=summary_of(result.to_dict()))
 
-    def _is_supported(self, free: FreeForce) -> bool:
-        """Return whether the foremost set completes the model: it errs less than the refitted model, on test records by a material amount,
-        and less than the table of a free force on validation records."""
-        refit, best = self.answer.refit, self.answer.foremost
-        if not best.members or not best.is_sound or best.error >= refit.error:
-            return False
-        falls = refit.test**2 - best.test**2
-        is_material = np.max(falls) >= self.search.criteria.material**2
-        errs_less = free.row is None or best.error < free.row.error
-        return bool(np.sum(falls) > 0.0 and is_material and errs_less)
+    def _is_supported(self) -> bool:
+        """Return whether the foremost set completes the model: it removes `Criteria.least_removed` on validation and on test records."""
+        best, e = self.answer.foremost, self.measured.evidence
+        removed = min(e.explained, e.test_explained)
+        is_real = bool(best.members) and best.is_sound
+        return is_real and removed >= self.search.criteria.least_removed
 
     def _described(self, network: Network, completes: bool) -> Network:
         """Return a model with a description of its law as uncertain."""
@@ -187,18 +174,8 @@ class ResultBuilder:
             self.notes.append(f"{what} could not be made: {error}")
         return None
 
-    def _free_force(self) -> FreeForce:
-        """Fit a table of the missing force. Under feedback a table would draw the controller's law: none is fitted."""
-        if self.feedback:
-            return FreeForce()
-        search = self.search
-        search.say("no known law explains it: following the missing force")
-        given = search.evaluator, self.answer.refit, search.criteria
-        found = self._attempt("a table of the missing force", fit_free_force, *given)
-        return found or FreeForce()
-
-    def _findings(self, free: FreeForce) -> tuple[Finding, ...]:
-        """Return the findings, with the free force among the sets where one was fitted."""
+    def _findings(self) -> tuple[Finding, ...]:
+        """Return the findings; none where no effect is missing."""
         answer, verdict = self.answer, self.decision.verdict
         is_agreement = verdict in ("no_discrepancy", "parameters_only")
         if is_agreement or not answer.foremost.members:
@@ -209,12 +186,12 @@ class ResultBuilder:
                 answer.foremost.members, answer.certain, strict=True
             ):
                 if is_certain:
-                    named.add(Statement(m.place, m.mechanism, m.effect))
+                    named.add(m)
         # a name under feedback is no multiple of the controller's input
         is_doubted = not answer.band or (bool(self.feedback) and not named)
         finder = Finder(
             self.search.criteria,
-            weigh(answer, free.row.fit if free.row else None),
+            weighted_sets(answer),
             self.measured.evidence,
             self.measured.quantities,
             frozenset(named),

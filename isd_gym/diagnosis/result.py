@@ -24,13 +24,11 @@ if TYPE_CHECKING:
     from ..physics.network import Network
     from ._estimation.clock_lag import Lag
     from ._records.feedback import Feedback
-    from ._selection.conditions import Gate
     from ._selection.criteria import Criteria
-    from ._selection.free_force import BestTable, Tabulated
     from ._selection.settings import SearchSettings
     from ._verdict.evidence import Evidence
     from ._verdict.findings import Finding
-    from ._verdict.gates import Reason
+    from ._verdict.gates import Gate, Reason
 
 __all__ = [
     "Diagnosis",
@@ -46,8 +44,8 @@ SCHEMA = "isd-diagnosis/1"
 #: entries of the JSON document in their order: fields of `Diagnosis`, or made of them
 _DOCUMENT = (
     "schema", "verdict", "summary", "effects", "findings", "alternatives", "where", "places", "parameters", "gap", "gates", "reason",
-    "best_candidate", "best_table", "remainder", "stretches", "closed_loop",
-    "next_experiment", "tabulated", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
+    "best_candidate", "remainder", "stretches", "closed_loop",
+    "next_experiment", "evidence", "criteria", "search", "clocks", "not_tried", "notes",
 )  # fmt: skip
 #: kind, mark and parts of the folder of a diagnosis, with its report
 FOLDER = (
@@ -271,16 +269,12 @@ class Diagnosis:
     criteria: Criteria | None = None
     #: settings of the search
     settings: SearchSettings | None = None
-    #: missing force as a table, if no known law gives the force
-    tabulated: Tabulated | None = None
     #: complete model with the effects, if only a part of the model was diagnosed (`cut`)
     whole: Network | None = None
     #: lags between the clocks of loggers
     lags: tuple[Lag, ...] = ()
     #: inputs of `next_experiment`
     test: Table | None = None
-    #: best table of a force, accepted or not
-    best_table: BestTable | None = None
     #: best set of effects, if no effect is named
     best_candidate: BestCandidate | None = None
     #: condition that led to the verdict
@@ -308,8 +302,6 @@ class Diagnosis:
             f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip()
             for e in self.effects
         ]
-        if self.tabulated is not None:
-            found = [f"force without a name {'-'.join(self.tabulated.between)}"]
         closed = "" if self.closed is None else f", closed={self.closed:.3g}"
         return f"Diagnosis({self.verdict!r}, found={found}{closed}, {len(self.traces)} record(s))"
 

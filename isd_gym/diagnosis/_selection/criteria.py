@@ -69,7 +69,7 @@ class Criteria:
     least_removed: float = limit(
         0.50,
         "share of the excess",
-        "what the table of a force must remove of the gap; a controller must explain less of the force of a name",
+        "a controller must explain less of the force of a name; places and kinds are weak below",
         "half: it leads. A spring centred in a bang-bang cycle is the controller's to 0.9, friction to less than 0.3",
     )
     forces_first: float = limit(

@@ -21,8 +21,8 @@ from ..._common.errors import InputError
 from .._hypotheses.forces import element_forces
 from .._hypotheses.motion import motions
 from .._records.feedback import LINEAR
-from .._selection.conditions import gate
 from .._selection.criteria import CRITERIA
+from .gates import gate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

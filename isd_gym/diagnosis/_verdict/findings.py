@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from .._estimation.structure import parameter_values
 from .._selection.uncertainty import Quantity
-from .._selection.weights import FREE_FORCE, Statement, probability
-from .gates import NAMELESS
 from .grades import MISTAKEN, REPORTED, grade, share_mistaken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from .._selection.answer import Answer
     from .._selection.criteria import Criteria
-    from .._selection.weights import WeightedSet
+    from .._selection.held_out_table import Member, Row
     from .evidence import Evidence
 
 
@@ -58,17 +57,34 @@ class Finding:
         return vars(self) | {"grade": levels}
 
 
+def weighted_sets(answer: Answer) -> list[tuple[Row, float]]:
+    """Return the sets of the band with their weights, largest first; the best set where no set is in the band."""
+    rows = answer.band or ((answer.best,) if answer.best.members else ())
+    weights = answer.weights or (1.0,) * len(rows)
+    return sorted(zip(rows, weights, strict=True), key=lambda s: -s[1])
+
+
+def probability(sets: Sequence[tuple[Row, float]], **wanted: object) -> float:
+    """Return the sum of the weights of the sets with a member whose attributes have the wanted values."""
+    total = 0.0
+    for row, weight in sets:
+        if any(all(getattr(m, k) == v for k, v in wanted.items()) for m in row.members):
+            total += weight
+    return total
+
+
 @dataclass(frozen=True)
 class Finder:
     """Sums of weights of sets as probabilities of places, kinds and laws, less the share of such statements that are wrong."""
 
     criteria: Criteria
-    sets: Sequence[WeightedSet]
+    #: sets with their weights, largest first
+    sets: Sequence[tuple[Row, float]]
     evidence: Evidence
     #: parameters of the first set with intervals, by path
     quantities: Mapping[str, Quantity]
-    #: statements that are named
-    named: frozenset[Statement]
+    #: members that are named
+    named: frozenset[Member]
     #: whether no set is needed, or a controller may imitate a law
     is_doubted: bool
 
@@ -77,13 +93,13 @@ class Finder:
         an open place."""
         every = self._laws()
         found = []
-        for (place, kind), laws in every.items():
-            if probability(self.sets, place=place, kind=kind) >= REPORTED:
+        for (kind, place), laws in every.items():
+            if probability(self.sets, kind=(kind, place)) >= REPORTED:
                 found.append(self._finding(place, kind, laws))
-        for kind in sorted({f.kind for f in found} - set(NAMELESS)):
+        for kind in sorted({f.kind for f in found}):
             if self._is_place_open(kind, [f for f in found if f.kind == kind]):
                 laws = {}
-                for (_, other), of_place in every.items():
+                for (other, _), of_place in every.items():
                     if other == kind:
                         laws |= of_place
                 found.append(replace(self._finding((), kind, laws), named=False))
@@ -93,72 +109,54 @@ class Finder:
             )
         )
 
-    def _laws(self) -> dict[tuple[tuple[str, ...], str], dict[str, Statement]]:
-        """Return the statements of all sets by place and kind, then by law."""
-        every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
-        for one in self.sets:
-            for s in sorted(one.statements, key=lambda s: (s.place, s.kind, s.law)):
-                every.setdefault((s.place, s.kind), {})[s.law] = s
+    def _laws(self) -> dict[tuple[str, tuple[str, ...]], dict[str, Member]]:
+        """Return the members of all sets by kind and place, then by law."""
+        every: dict[tuple[str, tuple[str, ...]], dict[str, Member]] = {}
+        for row, _ in self.sets:
+            for m in sorted(row.members, key=lambda m: (m.place, m.kind, m.effect)):
+                every.setdefault(m.kind, {})[m.effect] = m
         return every
 
     def _is_place_open(self, kind: str, found: Sequence[Finding]) -> bool:
         """Return whether a kind is found at several places and certain at none of them."""
-        whole = probability(self.sets, kind=kind)
+        whole = probability(self.sets, mechanism=kind)
         for f in found:
-            at_place = probability(self.sets, place=f.place, kind=kind)
+            at_place = probability(self.sets, kind=(kind, f.place))
             if f.named or at_place >= self.criteria.certain * whole:
                 return False
         return len(found) > 1
 
     def _finding(
-        self, place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]
+        self, place: tuple[str, ...], kind: str, laws: Mapping[str, Member]
     ) -> Finding:
         """Return the finding of a kind at a place, or at any place where `place` is empty."""
-        where: dict[str, object] = (
-            {"kind": kind, "place": place} if place else {"kind": kind}
-        )
-        of_kind = probability(self.sets, **where) * (
-            1.0 - self._mistaken("kind", kind, laws)
-        )
-        of_place = of_kind
+        where: dict[str, object] = {"kind": (kind, place)}
+        if not place:
+            where = {"mechanism": kind}
+        of_place = of_kind = probability(self.sets, **where) * self._right("kind")
         if place:
-            of_place = probability(self.sets, place=place) * (
-                1.0 - self._mistaken("place", kind, laws)
-            )
+            of_place = probability(self.sets, place=place) * self._right("place")
         entries = []
-        for law, statement in laws.items():
-            own = probability(self.sets, **where, law=law) * (
-                1.0 - self._mistaken("law", kind, laws)
-            )
-            entries.append(
-                LawProbability(law, own, self._values(statement) if place else {})
-            )
+        for law, member in laws.items():
+            own = probability(self.sets, **where, effect=law) * self._right("law")
+            values = self._values(member) if place else {}
+            entries.append(LawProbability(law, own, values))
         ranked = tuple(sorted(entries, key=lambda e: (-e.probability, e.effect)))
-        return Finding(
-            place,
-            of_place,
-            kind,
-            of_kind,
-            ranked,
-            any(s in self.named for s in laws.values()),
-        )
+        is_named = any(m in self.named for m in laws.values())
+        return Finding(place, of_place, kind, of_kind, ranked, is_named)
 
-    def _mistaken(self, level: str, kind: str, laws: Mapping[str, Statement]) -> float:
-        """Return the share of statements of a level that are wrong. The free force stands for laws outside the library."""
-        if FREE_FORCE in laws:
-            return MISTAKEN["free" if kind in NAMELESS and level != "place" else "kind"]
-        usual = share_mistaken(level, self.evidence, self.criteria)
-        return (
-            max(usual, MISTAKEN["extra"])
-            if self.is_doubted and level != "place"
-            else usual
-        )
+    def _right(self, level: str) -> float:
+        """Return the share of statements of a level that are right."""
+        mistaken = share_mistaken(level, self.evidence, self.criteria)
+        if self.is_doubted and level != "place":
+            mistaken = max(mistaken, MISTAKEN["extra"])
+        return 1.0 - mistaken
 
-    def _values(self, statement: Statement) -> dict[str, Quantity]:
-        """Return the values of a law in the likeliest set with the statement; the foremost set has intervals."""
-        fit = next(s.fit for s in self.sets if statement in s.statements)
+    def _values(self, member: Member) -> dict[str, Quantity]:
+        """Return the values of a law in the likeliest set with the member; the foremost set has intervals."""
+        fit = next(row.fit for row, _ in self.sets if member in row.members)
         for h, element in zip(fit.hypotheses, fit.elements, strict=True):
-            if h.effect != statement.law:
+            if h.effect != member.effect:
                 continue
             out = {}
             for key, value in parameter_values(element).items():

@@ -1,16 +1,56 @@
-"""The verdict that follows from the band of sets of laws and from the evidence. Nothing is fitted here."""
+"""Conditions for a name, with the figures that decide, and the verdict that follows from the band of sets of laws. Nothing is fitted here."""
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from .._selection.conditions import Gate, gate
 from .._selection.criteria import CRITERIA, Criteria
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from .._selection.answer import Answer
     from .evidence import Evidence
+
+#: comparison of the value of a gate with its limit
+Relation = Literal["<", "<=", ">", ">="]
+COMPARE: dict[Relation, Callable[[float, float], bool]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+#: largest magnitude of a gate's value: an infinite one is stated as this
+MAX_GATE_VALUE = 1e6
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One condition for a name."""
+
+    name: str
+    #: truth of ``value relation limit``
+    passed: bool
+    value: float
+    limit: float
+    #: meaning of the value
+    text: str
+    relation: Relation = ">"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the JSON of a diagnosis has it."""
+        return {"gate": self.name} | {
+            k: getattr(self, k)
+            for k in ("passed", "value", "relation", "limit", "text")
+        }
+
+
+def gate(name: str, value: float, relation: Relation, limit: float, text: str) -> Gate:
+    """Return a gate that passes if ``value relation limit`` is true. Infinite values become `MAX_GATE_VALUE`."""
+    value = min(max(float(value), -MAX_GATE_VALUE), MAX_GATE_VALUE)
+    return Gate(
+        name, COMPARE[relation](value, limit), value, float(limit), text, relation
+    )
+
 
 Verdict = Literal[
     "missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"
@@ -21,8 +61,6 @@ Verdict = Literal[
 #: - immaterial: the refitted model errs by less than `Criteria.material` beyond noise.
 #: - noise: the refitted model errs by less than the noise.
 Reason = Literal["gates", "immaterial", "noise"]
-#: kinds that say nothing about the law
-NAMELESS = ("other",)
 
 
 @dataclass(frozen=True)

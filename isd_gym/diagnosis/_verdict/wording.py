@@ -29,12 +29,6 @@ WORDS: dict[str, dict[str, str]] = json.loads(
 )
 #: what to do about a failed gate, most urgent first; kinds of effects in words; test on the rig that shows whether an effect of a kind is there
 ADVICE, KINDS, TESTS = WORDS["advice"], WORDS["kinds"], WORDS["tests"]
-#: error of which a candidate removes a share (`Evidence.explained`)
-EXCESS = "the squared held-out error beyond noise"
-OVER = {
-    "rate": "their rate",
-    "elongation": "their distance",
-}
 #: parameters whose change is stated
 CHANGES = 2
 #: probability from which on a kind has a test, and from which on the title mentions the kind
@@ -106,13 +100,12 @@ def _template() -> Template:
         ),
     )  # plain text: nothing is escaped
     filters = (
-        candidate_text, described, failures, plain_number, plain_value, spoken, _between, _capital, _in_unit_of, _kind, _parameter,
+        candidate_text, described, failures, plain_number, plain_value, spoken, _capital, _in_unit_of, _kind, _parameter,
         _parameter_name, _percent, _placed, _spot, _square, _test_of_kind, _test_of_law,
     )  # fmt: skip
     env.filters |= {f.__name__.removeprefix("_"): f for f in filters}
     env.globals |= {
-        "CHANGES": CHANGES, "EXCESS": EXCESS, "NOT_BORNE_OUT": NOT_BORNE_OUT, "OVER": OVER, "PERHAPS": PERHAPS, "REPORTED": REPORTED,
-        "TYPES": TYPES,
+        "CHANGES": CHANGES, "NOT_BORNE_OUT": NOT_BORNE_OUT, "PERHAPS": PERHAPS, "REPORTED": REPORTED, "TYPES": TYPES,
     }  # fmt: skip
     return env.get_template("statements.txt")
 
@@ -220,14 +213,6 @@ def _failure(g: Mapping[str, Any]) -> str:
     name, value, limit = g["gate"], g["value"], g["limit"]
     if value is None:
         return f"{name} is unknown"
-    if name in ("confirmed", "explains"):
-        kind = "test" if name == "confirmed" else "validation"
-        error = f"of the squared error on the {kind} records"
-        if value < 0.0:
-            return f"it increases the squared error on the {kind} records"
-        digits = 1 if round(100.0 * value) == round(100.0 * limit) else 0
-        left, allowed = (_percent(1.0 - x, digits) for x in (value, limit))
-        return f"it leaves {left} {error} (at most {allowed})"
     if name == "distinguishable":
         return f"{value:.0f} other {'laws predict' if value > 1 else 'law predicts'} as well"
     if name == "not the controller":

@@ -826,19 +826,6 @@ class Network:
         out.__dict__.update(parts)
         return out
 
-    def with_table(self, name: str, force: Any) -> Network:
-        """Return a copy with other forces in a `tabulated_force`.
-
-        Args:
-            name: Name of the element.
-            force: Forces [N] in the shape of the table.
-        """
-        elements = tuple(
-            replace(e, force=force) if e.name == name else e  # type: ignore[call-arg]
-            for e in self.elements
-        )
-        return self._with_values(elements=elements)
-
     def with_element(self, element: el.Element | Mapping[str, Any]) -> Network:
         """Return a copy with an additional element.
 

@@ -77,7 +77,6 @@ STAGES = {
 }
 RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
 #: axes of an unnamed force
-OVER = {"rate": "rate", "elongation": "travel"}
 
 
 def write_report(
@@ -173,12 +172,7 @@ class View:
         self.named = bool(d.effects)
         # whether the new model differs from the given model
         completes = d.best_candidate is not None and d.best_candidate.completes
-        self.changed = (
-            self.named
-            or d.tabulated is not None
-            or d.verdict == "ambiguous"
-            or completes
-        )
+        self.changed = self.named or d.verdict == "ambiguous" or completes
         document = d.to_dict()
         told = statements_of(document)
         self.title = self.printed(told.title)
@@ -324,8 +318,6 @@ class View:
     def completion(self) -> str:
         """What `model.json` has in addition to the refitted model; '' where it has nothing."""
         d = self.d
-        if d.tabulated is not None:
-            return f"the {self.force_text.split()[0]} as a table"
         effects = [e.effect for e in d.effects]
         if not effects and d.best_candidate is not None and d.best_candidate.completes:
             effects = list(d.best_candidate.effects)
@@ -360,19 +352,6 @@ class View:
     def needed(self, g: Any) -> str:
         """Return the requirement of a gate, such as ``≥ 0.05``."""
         return f"{RELATIONS[g.relation]}\u00a0{self.figure(g.limit)}"
-
-    @property
-    def force_text(self) -> str:
-        """Description of an unnamed force, such as ``force between body and wheel, as a table over travel``."""
-        t = self.d.tabulated
-        if t is None:
-            return ""
-        text = f"force between {t.between[0]} and {t.between[1]}, as a table over {OVER[t.over]}"
-        return (
-            text.replace("force", "torque").replace("travel", "angle")
-            if self.turns(t.between)
-            else text
-        )
 
     def interval(self, q: Any) -> str:
         """Return the interval of a quantity in the unit of `quantity`."""
@@ -744,11 +723,9 @@ def draw_spectra(view: View) -> Chart | None:
 def draw_law(view: View) -> Chart | None:
     """Return the chart of every identified law with its interval, and the distribution of the measured motion; None without a law."""
     d = view.d
-    effects = list(d.effects)
-    if d.tabulated is not None:  # an unnamed law is drawn like a named law
-        t = d.tabulated
-        effects.append(Effect("tabulated_force", t.between, None, 0.0, {}, t.element))
-    laws = [(law, e) for law in view.laws for e in effects if e.element == law.element]
+    laws = [
+        (law, e) for law in view.laws for e in d.effects if e.element == law.element
+    ]
     if not laws:
         return None
     columns = min(3, len(laws))

@@ -76,7 +76,7 @@ class Missing:
 
 
 def laws_of(d: Diagnosis, trace: Trace) -> list[Law]:
-    """Return the curves of the named effects, or of the table of a force, where a law over rate or elongation gives them."""
+    """Return the curves of the named effects, where a law over rate or elongation gives them."""
     out = []
     for effect in d.effects:
         if effect.between is None:
@@ -106,20 +106,6 @@ def laws_of(d: Diagnosis, trace: Trace) -> list[Law]:
         out.append(
             Law(e.name, kind, axis, middle, middle - spread, middle + spread, visited)
         )
-    t = d.tabulated
-    if t is not None:
-        try:
-            travel, rate = _motion(d.model, trace, t.between)
-        except (InputError, np.linalg.LinAlgError):
-            return out
-        kind = "travel"
-        axis = np.array(t.elongation)
-        visited = travel
-        if t.over == "rate":
-            kind = "rate"
-            axis = np.array(t.rate)
-            visited = rate
-        out.append(Law(t.element, kind, axis, t.force, t.low, t.high, visited))
     return out
 
 
@@ -136,8 +122,6 @@ def missing_force(d: Diagnosis, trace: Trace) -> Missing | None:
 def _places(d: Diagnosis) -> list[tuple[str, str]]:
     """Return the pairs of nodes of the finding, or of the best candidate where nothing is found."""
     places: list[tuple[str, ...]] = [e.between for e in d.effects if e.between]
-    if d.tabulated is not None:
-        places.append(d.tabulated.between)
     first = d.best_candidate or next(iter(d.alternatives), None)
     if not places and not d.effects and first is not None:
         places.append(first.where[-1])
