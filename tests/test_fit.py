@@ -1,6 +1,7 @@
 """The diagnosis' fitter: its bounded step, records side by side, slopes used again, fewer samples to search by."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,9 +22,14 @@ from scipy.optimize import lsq_linear
 from isd_gym import InputError, Network, simulate
 from isd_gym.diagnosis import hypotheses
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
-from isd_gym.diagnosis._estimation.least_squares import bounded_step
+from isd_gym.diagnosis._estimation.least_squares import (
+    PROBE,
+    QuadraticModel,
+    Slope,
+    bounded_step,
+)
 from isd_gym.diagnosis._estimation.noise import white_weights
-from isd_gym.diagnosis._estimation.structure import base_structure
+from isd_gym.diagnosis._estimation.structure import Free, base_structure
 from isd_gym.diagnosis._hypotheses.law_matching import built_ways, starts_of
 from isd_gym.diagnosis._hypotheses.motion import motions, simulate_variants
 from isd_gym.diagnosis._simulation.problem import Problem, Record
@@ -240,3 +246,28 @@ def test_what_rests_on_a_limit_is_held_and_the_rest_moves_as_if_it_were_known():
     low, high = np.zeros(2), np.full(2, 10.0)
     step = bounded_step(H, slope, np.zeros(2), low, high, np.full(2, np.inf), 0.0)
     np.testing.assert_allclose(step, [0.0, 0.5])
+
+
+def test_an_accelerated_step_errs_by_one_order_less():
+    """Two outputs that are curved in two parameters: the error of a step without damping falls with the square of the distance, and with
+    its third power where the step is accelerated."""
+
+    def outputs(x):
+        return np.array([np.exp(x[0]) + x[1], x[0] * x[1], x[1] ** 2 + x[0]])
+
+    x = np.array([0.3, 0.7])
+    free = [Free(n, False, 0.0, 1e6, -9.0, 9.0, 0) for n in "ab"]
+    structure = SimpleNamespace(free=free, mean=np.zeros(2), sigma=np.full(2, 1e6))
+    by = np.array([[np.exp(x[0]), 1.0], [x[1], x[0]], [1.0, 2 * x[1]]])
+    slope = Slope(by, by.T @ by, np.zeros((0, 0)), np.zeros((0, 0)))
+    errors = []
+    for size in (0.08, 0.04):
+        truth = x + size * np.array([0.6, -0.8])
+        down = by.T @ (outputs(truth) - outputs(x))
+        model = QuadraticModel(structure, x, 0, {0: slope}, {0: down})
+        plain = model.step(0.0)
+        change = outputs(x + PROBE * plain.x) - outputs(x)
+        bent = model.accelerated(plain, {0: change}, 0.0)
+        errors.append([np.linalg.norm(x + s.x - truth) for s in (plain, bent)])
+    orders = np.log2(np.array(errors[0]) / errors[1])
+    assert orders == pytest.approx([2.0, 3.0], abs=0.3)

@@ -17,7 +17,7 @@ from ..._common.errors import InputError
 from ...physics.network import Network, assemble
 from .._simulation.problem import BROKEN, Problem
 from .initial_states import guess, motion_rows
-from .least_squares import bounded_step, damped, damped_step
+from .least_squares import PROBE, QuadraticModel, Slope, Step, damped
 from .sensitivities import tangents
 
 if TYPE_CHECKING:
@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from .structure import Hypothesis, Structure
 
 
-#: damping of the first step; dampings of a step of initial states alone
-DAMPING, EASED = 1e-4, (0.0, 0.03, 0.3, 3.0, 100.0)
+#: damping of the first step, and the smallest one; dampings of a step of initial states alone
+DAMPING, LEAST_DAMPING, EASED = 1e-4, 1e-6, (0.0, 0.03, 0.3, 3.0, 100.0)
+#: further dampings that a step tries, tenfold each
+TRIES = 5
 #: decrease of the cost, as a share, below which a fit ends
 TOLERANCE = 1e-4
 #: error of a lost record, as a share of the deviation
@@ -51,6 +53,8 @@ class Point:
     #: weighted squares and the initial state's prior, by record
     costs: dict[int, float] = field(default_factory=dict)
     prior: float = 0.0  # of the parameters
+    #: derivatives by record, where they are known
+    slopes: dict[int, Slope] = field(default_factory=dict)
 
     @property
     def total(self) -> float:
@@ -62,16 +66,6 @@ class Point:
         self.costs[i] = other.costs[i]
         if i in other.outputs:
             self.outputs[i] = other.outputs[i]
-
-
-@dataclass
-class Slope:
-    """Whitened derivatives of a record (rows, parameters + shared offsets + nuisances), with their normal equations."""
-
-    by: Array
-    gram: Array
-    own: Array  # of the nuisances (initial state, offsets of the record, lags), prior included
-    known: Array  # the prior of the initial state (states, states)
 
 
 @dataclass(eq=False)
@@ -178,10 +172,10 @@ class Fitter:
         ]
 
     # -- slopes -----------------------------------------------------------------------------------------
-    def slopes(
+    def linearise(
         self, structure: Structure, at: Point, records: Sequence[int], moves: bool
-    ) -> dict[int, Slope] | None:
-        """Return derivatives at a point, whose outputs and costs are filled in, also by parameters if `moves`; None where the simulation
+    ) -> bool:
+        """Fill in outputs, costs and derivatives of a point, also derivatives by parameters if `moves`; return False where the simulation
         breaks down."""
         try:
             found = tangents(
@@ -192,7 +186,7 @@ class Fitter:
                 moves=moves,
             )
         except BROKEN:
-            return None
+            return False
         self.price(structure, at, {i: t.outputs for i, t in found.items()})
         out = {}
         for i, t in found.items():
@@ -200,7 +194,7 @@ class Fitter:
             common = self.problem.common(t.outputs)[:, :, : None if moves else 0]
             stack = np.concatenate([t.by_parameter, common, t.by_state, free], axis=2)
             if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
-                return None
+                return False
             rows, columns = stack.shape[0] * stack.shape[1], stack.shape[2]
             by = (
                 self.weights(stack).reshape(rows, columns)
@@ -208,7 +202,7 @@ class Fitter:
                 else np.zeros((rows, 0))
             )
             if not (np.abs(by) < 1e100).all():  # their squares would overflow
-                return None
+                return False
             gram = by.T @ by
             p, n0 = t.by_parameter.shape[2] + common.shape[2], t.by_state.shape[2]
             own = gram[p:, p:].copy()
@@ -216,7 +210,8 @@ class Fitter:
             own[:n0, :n0] += known
             own[np.arange(len(own)), np.arange(len(own))] *= 1 + 1e-9
             out[i] = Slope(by, gram, own, known)
-        return out
+        at.slopes = out
+        return True
 
     def _downhill(self, at: Point, i: int, slope: Slope) -> Array:
         """Return the negative gradient of half the cost (parameters, shared offsets, nuisances)."""
@@ -312,20 +307,18 @@ class Fitter:
         x = structure.start if x is None else x
         at = self.begin(structure, x, initial, offset, records)
         mean, sigma = structure.mean, structure.sigma
-        slopes = self.slopes(structure, at, records, True)
-        if slopes is None:
+        if not self.linearise(structure, at, records, True):
             raise InputError("the simulation breaks down at the start values")
         at.prior = float(np.sum(((at.x - mean) / sigma) ** 2))
-        hessian, damping = self._hessian(slopes), DAMPING
-        for turn in range(iterations):
-            fresh = slopes if turn == 0 else self.slopes(structure, at, records, True)
-            if fresh is None:
-                break
-            slopes, hessian = fresh, self._hessian(fresh)
-            then, damping = self._step(structure, at, slopes, records, damping)
+        hessian, damping = self._hessian(at.slopes), DAMPING
+        for _ in range(iterations):
+            then, damping = self._step(structure, at, records, damping)
             if then is None:
                 break
             gain, at = 1.0 - then.total / at.total, then
+            if not (at.slopes or self.linearise(structure, at, records, True)):
+                break
+            hessian = self._hessian(at.slopes)
             if gain < TOLERANCE:
                 break
         return self._result(structure, at, hessian)
@@ -345,45 +338,45 @@ class Fitter:
         self,
         structure: Structure,
         at: Point,
-        slopes: Mapping[int, Slope],
         records: Sequence[int],
         damping: float,
     ) -> tuple[Point | None, float]:
-        """Return a point with a smaller cost, or None, and the next damping."""
-        free = structure.free
-        p, q = len(free), int(self.problem.shared_offset.sum())
-        mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
-        low = np.append([f.low for f in free], -none)
-        high = np.append([f.high for f in free], none)
-        stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
-        reach = 3.0 * np.maximum(np.abs(at.x), sigma)
-        wide = np.append(np.where(np.isfinite(stride), stride, reach), none)
-        here = np.append(at.x, np.zeros(q))
-        pull = np.append((mean - at.x) / sigma**2, np.zeros(q))
-        prior = np.diag(np.append(1.0 / sigma**2, np.zeros(q)))
-        down = {i: self._downhill(at, i, s) for i, s in slopes.items()}
+        """Return a point with a smaller cost, or None, and the next damping: less after a success. Where the first try fails, the best of
+        several dampings is taken, each accelerated along a curved valley."""
+        shared = int(self.problem.shared_offset.sum())
+        down = {i: self._downhill(at, i, s) for i, s in at.slopes.items()}
+        model = QuadraticModel(structure, at.x, shared, at.slopes, down)
 
-        def moved(damping: float) -> Point:
-            g, H = pull, prior
-            solved = {}
-            for i, s in slopes.items():
-                first, cross = down[i][: p + q], s.gram[: p + q, p + q :]
-                own = damped(s.own, damping)
-                both = np.column_stack([cross.T, down[i][p + q :]])
-                solved[i] = inner = np.linalg.solve(own, both)
-                H = H + s.gram[: p + q, : p + q] - cross @ inner[:, :-1]
-                g = g + first - cross @ inner[:, -1]
-            step = bounded_step(H, g, here, low, high, wide, damping)
-            moves = {i: s[:, -1] - s[:, :-1] @ step for i, s in solved.items()}
-            then = self._moved(at, at.x + step[:p], moves, step[p:])
-            then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
+        def after(step: Step) -> Point:
+            x = at.x + step.x[: len(at.x)]
+            then = self._moved(at, x, step.nuisances, step.x[len(at.x) :])
+            distance = (x - structure.mean) / structure.sigma
+            then.prior = float(np.sum(distance**2))
             return then
 
-        def take(dampings: Sequence[float]) -> list[tuple[Point, float]]:
-            points = self.seen_all(structure, [moved(d) for d in dampings], records)
-            return [(then, then.total) for then in points]
-
-        return damped_step(take, at.total, damping)
+        then = after(model.step(damping))
+        # mostly taken: the next step begins with its slopes
+        self.linearise(structure, then, records, True)
+        if then.total < at.total:
+            return then, max(0.2 * damping, LEAST_DAMPING)
+        least = max(10 * damping, 1e-3 if math.isfinite(then.total) else 1.0)
+        dampings = [least * 10**k for k in range(TRIES)]
+        steps = [model.step(d) for d in dampings]
+        probes = [after(step.scaled(PROBE)) for step in steps]
+        self.seen_all(structure, probes, records)
+        for k, probe in enumerate(probes):
+            if math.isfinite(probe.total):
+                changes = {
+                    i: self.weights(probe.outputs[i] - at.outputs[i]).ravel()
+                    for i in records
+                }
+                steps[k] = model.accelerated(steps[k], changes, dampings[k])
+        points = self.seen_all(structure, [after(step) for step in steps], records)
+        k = int(np.argmin([then.total for then in points]))
+        then, damping = points[k], dampings[k]
+        if not then.total < at.total:
+            return None, damping
+        return then, max(0.2 * damping, LEAST_DAMPING)
 
     def _states(
         self,
@@ -395,11 +388,12 @@ class Fitter:
         """Fit initial states and offsets of each record; parameters and shared offsets stay."""
         left = list(records)
         for turn in range(max(iterations, 1)):
-            slopes = self.slopes(structure, at, left, False)
-            if slopes is None and turn == 0:
+            is_sound = self.linearise(structure, at, left, False)
+            if not is_sound and turn == 0:
                 raise InputError("the simulation breaks down at the start values")
-            if slopes is None or not iterations:
+            if not is_sound or not iterations:
                 break
+            slopes = at.slopes
             left = [i for i in left if len(slopes[i].own)]
             if not left:
                 break

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 #: how far the base parameters may move, in prior standard deviations
 REACH = 3.0
 #: one sigma, and the limits, of the logarithm of a new parameter about the size that the data suggest
-WIDE, FAR = 5.0, math.log(1e4)
+WIDE, FAR = 5.0, math.log(1e2)
 #: standard deviation of the logarithm of a parameter that stays near its start value
 SURE = 1e-4
 

@@ -2,7 +2,7 @@
 
 A stage adds one law to a fitted set. All starts of all laws are simulated first, as variants of one structure side by side. The misfit of a
 start is what the parameters, initial states and offsets of the set cannot absorb to first order. The best starts of each law are
-fitted: from the states of the set, and from states that the first samples tell.
+fitted: from the states of the set, or from states that the first samples tell.
 """
 
 from __future__ import annotations
@@ -119,20 +119,16 @@ class Stage:
             else (rules.shortlist_further, rules.kept_further)
         )
         starts = self.starts()
-        beside, alone, sized = self.misfits(starts)
+        misfit, sized = self.misfits(starts)
         if sized:
-            more = self.misfits(sized)
             starts = [*starts, *sized]
-            beside, alone = np.append(beside, more[0]), np.append(alone, more[1])
-        own: dict[Hypothesis, list[Start]] = defaultdict(list)
-        # the first start of a law is the best one beside the set's own changes, the second one the best by itself
-        orders = [np.argsort(m, kind="stable") for m in (beside, alone)]
-        for k in (int(k) for both in zip(*orders, strict=True) for k in both):
-            if math.isfinite(beside[k]) and starts[k] not in own[starts[k].law]:
-                own[starts[k].law].append(starts[k])
-        by_law = {law: found for law, found in own.items() if found}
-        laws = self.with_special_cases(list(by_law)[:shortlist], by_law)
-        begun = self.each(self.first_fit, [by_law[law] for law in laws])
+            misfit = np.append(misfit, self.misfits(sized)[0])
+        best: dict[Hypothesis, Start] = {}
+        for k in np.argsort(misfit, kind="stable"):
+            if math.isfinite(misfit[k]):
+                best.setdefault(starts[k].law, starts[k])
+        laws = self.with_special_cases(list(best)[:shortlist], best)
+        begun = self.each(self.first_fit, [best[law] for law in laws])
         found = [fit for fit in begun if fit is not None]
         return self.finish(sorted(found, key=lambda fit: fit.cost), kept)
 
@@ -242,13 +238,13 @@ class Stage:
             out += [start] if start is not None else []
         return out
 
-    def misfits(self, starts: Sequence[Start]) -> tuple[Array, Array, list[Start]]:
+    def misfits(self, starts: Sequence[Start]) -> tuple[Array, list[Start]]:
         """Return the misfits of the starts (starts,), with the states of the set: the sum over channels of the logarithm of the residual's
-        variance, after first-order changes of what the set has free, and before; infinite where the simulation breaks down. The third
-        value are starts with the sizes that the residual asks for."""
+        variance after first-order changes of what the set has free; infinite where the simulation breaks down. The second value are
+        starts with the sizes that the residual asks for."""
         p, now = self.problem, self.now
         residual = self.residual
-        beside, alone = np.full((2, len(starts)), math.inf)
+        misfit = np.full(len(starts), math.inf)
         columns = len(p.channels)
         probes: dict[tuple[Hypothesis, int], list[tuple[Start, Array]]] = defaultdict(
             list
@@ -272,53 +268,38 @@ class Stage:
                     rows[len(rows) - own :, lane] = (
                         structure.mean - x
                     ) / structure.sigma
-            projected = residual.without(rows)
-            for out, left in ((beside, projected), (alone, rows)):
-                square = left[: len(rows) - own].reshape(-1, columns, len(chunk)) ** 2
-                cost = np.sum(np.log(square.mean(axis=0) + 1.0), axis=0)
-                out[chunk] = np.where(is_finite, cost, math.inf)
+            left = residual.without(rows)
+            square = left[: len(rows) - own].reshape(-1, columns, len(chunk)) ** 2
+            cost = np.sum(np.log(square.mean(axis=0) + 1.0), axis=0)
+            misfit[chunk] = np.where(is_finite, cost, math.inf)
             for lane, k in enumerate(chunk):
                 if starts[k].proposed is not None and is_finite[lane]:
                     probes[starts[k].law, id(starts[k].proposed)].append(
-                        (starts[k], projected[:, lane])
+                        (starts[k], left[:, lane])
                     )
-        return beside, alone, self.sized(residual.left, probes)
+        return misfit, self.sized(residual.left, probes)
 
     # -- fits ---------------------------------------------------------------------------------------------
-    def first_fit(self, starts: Sequence[Start]) -> Fit | None:
-        """Return the best brief fit of a law from its best starts; None where all simulations break down."""
-        begun = [self.brief(start) for start in starts[: self.rules.fitted]]
-        found = [fit for fit in begun if fit is not None]
-        return min(found, key=lambda fit: fit.cost, default=None)
-
-    def brief(self, start: Start) -> Fit | None:
+    def first_fit(self, start: Start) -> Fit | None:
         """Return a fit of a few steps, from the states of the set or from those that the first samples tell, whichever cost less; the
         offsets are those of the set where the states are."""
-        p, now, structure = self.problem, self.now, start.structure
+        now, fitter, structure = self.now, self.coarse, start.structure
+        records = self.problem.estimation
         begun: list[tuple[dict[int, Array] | None, dict[int, Array] | None]]
         begun = [(None, None)]
         try:
-            carried = transfer_states(p, now.network, now.initial, structure)
-            begun.append((carried, now.offset))
+            with contextlib.suppress(*FAILS):
+                states = transfer_states(
+                    self.problem, now.network, now.initial, structure
+                )
+                begun.append((states, now.offset))
+            points = [fitter.begin(structure, start.x, *at, records) for at in begun]
+            points = fitter.seen_all(structure, points, records)
         except FAILS:
-            pass
-        states, offset = min(begun, key=lambda at: self.cost(start, *at))
+            return None
+        at = min(points, key=lambda at: at.total)
         steps = self.rules.first_steps
-        return try_fit(self.coarse, structure, start.x, states, offset, steps)
-
-    def cost(
-        self,
-        start: Start,
-        states: dict[int, Array] | None,
-        offset: dict[int, Array] | None,
-    ) -> float:
-        """Return the cost of a start from states, or from states that the first samples tell; infinite where the simulation breaks down."""
-        p, fitter = self.problem, self.coarse
-        try:
-            at = fitter.begin(start.structure, start.x, states, offset, p.estimation)
-            return fitter.seen(start.structure, at, p.estimation).total
-        except FAILS:
-            return math.inf
+        return try_fit(fitter, structure, start.x, at.initial, at.offset, steps)
 
     def finish(self, begun: Sequence[Fit], kept: int) -> list[Fit]:
         """Fit the laws to the end from their first fits, and the best ones with all samples."""
@@ -337,12 +318,10 @@ class Stage:
         out = self.continued(self.coarse, chosen, self.rules.further_steps)
         out += self.special_cases(out)
         out.sort(key=lambda f: f.cost)
-        if self.problem is self.whole:
-            return out
-        last = self.continued(self.full, out[:kept], self.rules.last_steps)
-        return sorted(
-            last + self.continued(self.full, out[kept:], 0), key=lambda f: f.cost
-        )
+        if self.problem is not self.whole:
+            out = self.continued(self.full, out, 0)
+            out.sort(key=lambda f: f.cost)
+        return out
 
     def continued(self, fitter: Fitter, fits: Sequence[Fit], steps: int) -> list[Fit]:
         """Return further fits from the values and states of fits."""

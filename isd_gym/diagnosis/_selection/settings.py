@@ -14,12 +14,10 @@ class SearchSettings:
     #: starts of a law that are simulated, as first law and as further law of a set
     starts: int = 25
     starts_further: int = 12
-    #: starts of a law that are fitted
-    fitted: int = 2
     #: laws that are fitted as first law and as further law of a set, those with the smallest misfit of a start first
     shortlist: int = 30
     shortlist_further: int = 12
-    #: Gauss-Newton steps of the first fit of a law, of the fit to the end, and of the fit with all samples
+    #: Gauss-Newton steps of the first fit of a law, of the fit to the end, and of the fit with all samples and balanced channels
     first_steps: int = 3
     further_steps: int = 20
     last_steps: int = 8
