@@ -5,15 +5,11 @@ from pathlib import Path
 import builders
 import numpy as np
 import pytest
-from builders import channel, damper, element, fitted, named, spring
+from builders import channel, damper, element, named, spring
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from isd_gym import Table, diagnose
-from isd_gym.diagnosis._hypotheses.motion import motions
-from isd_gym.diagnosis._hypotheses.pair_forces import spectral_pitches
-from isd_gym.diagnosis._records.reading import read_record
-from isd_gym.diagnosis._simulation.problem import Problem
 
 
 def values(found):
@@ -51,26 +47,11 @@ def pulled(seed, amplitude=3.0, pitch=3.1e-3, seconds=20.0):
     )
 
 
-def as_problem(model, tables):
-    return Problem(
-        model, [read_record(t, model, [], ()) for t in tables], ["fit"] * len(tables)
-    )
-
-
-def test_the_spectrum_over_position_shows_the_pitch_of_more_than_sixty_periods():
-    problem = as_problem(PULLED, [pulled(1), pulled(2)])
-    fit = fitted(problem, 0.2)
-    motion = motions(problem, fit)[("rod", "ground")]
-    span = float(np.ptp(motion.d))
-    assert span / 3.1e-3 > 90
-    first, *_ = spectral_pitches(problem, fit, ("rod", "ground"), motion, 60)
-    # the line is at most an eighth of a period over the span away from the truth
-    assert abs(span / first - span / 3.1e-3) <= 0.26
-    # of fewer periods than are asked for nothing is said
-    assert all(
-        p < span / 60
-        for p in spectral_pitches(problem, fit, ("rod", "ground"), motion, 60)
-    )
+@pytest.mark.slow
+def test_a_detent_force_of_nearly_a_hundred_periods_is_named():
+    found = diagnose([pulled(1), pulled(2)], PULLED, validate=[pulled(3), pulled(4)])
+    assert named(found) == {("cogging_force", frozenset({"rod", "ground"}))}
+    assert values(found)["pitch"] == pytest.approx(3.1e-3, rel=1e-3)
 
 
 def sines(rng, t, band=(0.3, 3.0), count=8):

@@ -99,11 +99,10 @@ isd_gym.physics.elements
     ActuatorDelay ActuatorLag AsymmetricDamping AsymmetricFriction Backlash BumpStop CoggingForce
     ConstantForce ControlledDamper CoulombFriction CubicStiffness DRIVE_ORDER DegressiveDamping DriveDeadZone
     Element GROUND GasSpring GravitySine Hysteresis Inertance LinearDamping LinearStiffness
-    LoadDependentFriction MECHANISMS Motion Motor PERIODS PROBE QuadraticDamping QuadraticThrust
-    ScheduledDamping ScheduledFriction SensorBias SensorDeadZone SensorDelay SensorGain SensorMagnitude
-    SeriesCompliance Setting Start StribeckFriction TYPES TabulatedForce TerminalInertia ThrustSaturation
-    TyreLiftOff beside delayed discover parameter parameter_fields plausible register register_file rms spoken
-    transmits
+    LoadDependentFriction MECHANISMS Motion Motor PROBE QuadraticDamping QuadraticThrust ScheduledDamping
+    ScheduledFriction SensorBias SensorDeadZone SensorDelay SensorGain SensorMagnitude SeriesCompliance
+    Setting Start StribeckFriction TYPES TabulatedForce TerminalInertia ThrustSaturation TyreLiftOff beside
+    delayed discover parameter parameter_fields plausible register register_file rms spoken transmits
 isd_gym.physics.fmu
     export_fmu
     also MEMORY NetworkSlave Running identifier

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...physics.elements import PERIODS, PROBE
+from ...physics.elements import PROBE
 from ...physics.network import assemble
 from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.sensitivities import tangents
@@ -20,7 +20,6 @@ from .._simulation.problem import BROKEN, Problem
 from .forces import DISSIPATIVE, lossy_share, place_forces
 from .library import hypotheses
 from .motion import loads_of, motions, setting, simulate_variants, tell_gain
-from .pair_forces import spectral_pitches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -98,24 +97,18 @@ def starts_of(
 ) -> list[tuple[Hypothesis, Start]]:
     """Return every start of every hypothesis."""
     forces, out = place_forces(problem, fit), []
-    lines: dict[tuple[str, ...], tuple[float, ...]] = {}
     loads = loads_of(problem, fit, candidates)
     for h in candidates:
         load = loads.get(dict(h.options)["load"]) if h.kind.loaded else None
         if h.kind.loaded and (load is None or not tell_gain(load)):
             continue
         pair = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
-        if pair is not None and h.kind.periodic and h.where not in lines:
-            lines[h.where] = spectral_pitches(
-                problem, fit, (h.where[0], h.where[1]), pair, PERIODS
-            )
         at = setting(
             problem,
             fit.network,
             h,
             pair,
             forces.at(h.where),
-            lines.get(h.where, ()),
             load,
         )
         out += [(h, start) for start in h.kind.starts(at)]

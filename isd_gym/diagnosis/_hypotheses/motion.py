@@ -97,11 +97,9 @@ def setting(
     h: Hypothesis,
     motion: Motion | None,
     force: float,
-    pitches: tuple[float, ...] = (),
     load: Sequence[Array] | None = None,
 ) -> Setting:
-    """Return the setting from which an effect derives its start values: the motion of the place, its typical force [N], periods of travel
-    [m], and loads (samples,) [N]."""
+    """Return the setting from which an effect derives its start values: the motion of the place, its typical force [N], and loads (samples,) [N]."""
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":
         name = next(
@@ -129,7 +127,7 @@ def setting(
     elif load is not None:
         samples = np.concatenate(load)
     return Setting(
-        network, h.where, motion, force, signal, time, dict(h.options), samples, pitches
+        network, h.where, motion, force, signal, time, dict(h.options), samples
     )
 
 

@@ -54,7 +54,6 @@ from ._drives import (
 )
 from ._friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 from ._laws import (
-    PERIODS,
     AsymmetricDamping,
     Backlash,
     BumpStop,
@@ -91,7 +90,6 @@ __all__ = [
     "DRIVE_ORDER",
     "GROUND",
     "MECHANISMS",
-    "PERIODS",
     "PROBE",
     "TYPES",
     "ActuatorDelay",

@@ -190,8 +190,6 @@ class Setting:
     )  # values of the choices that are not numbers
     #: measured channel [unit of the channel] or commanded current [A], (n,); None between two nodes
     samples: Array | None = None
-    #: periods [m] in the spectrum of the missing force over travel, for laws that repeat over travel
-    pitches: tuple[float, ...] = ()
 
     @property
     def beside(self) -> list[Element]:

@@ -36,13 +36,10 @@ if TYPE_CHECKING:
 
 
 TURN = 2.0 * math.pi  # [rad]
-#: number of periods over the travel up to which every pitch is tried; finer pitches come from the spectrum
-#: over position
-PERIODS = 60
+#: number of periods over the travel, or per turn, up to which every pitch is tried
+PERIODS = 120
 #: relative standard deviation of a damping up to which the damper is known to exist
 SURE_DAMPER = 0.5
-#: number of periods per turn up to which every integer is tried
-WHOLE_PERIODS = 120
 
 
 def _quadratic(
@@ -629,14 +626,11 @@ class CoggingForce(Element):
             # integer numbers of periods per turn: at least one period over the travel, and long enough for
             # the samples
             most = min(
-                WHOLE_PERIODS,
+                PERIODS,
                 TURN / max(2.5 * float(np.median(np.abs(np.diff(d)))), 1e-9),
             )
             pitches = [
                 TURN / k for k in range(max(1, math.ceil(TURN / span)), int(most) + 1)
-            ]
-            pitches += [
-                TURN / k for k in (round(TURN / p) for p in at.pitches) if k > most
             ]
         else:
             # neighbouring pitches differ by a quarter period over the span; less than one visible period is
@@ -645,7 +639,6 @@ class CoggingForce(Element):
                 float(1 / cycles)
                 for cycles in np.arange(1 / span, PERIODS / span, 0.25 / span)
             ]
-            pitches += at.pitches
         out = []
         for pitch in pitches:
             sine = {"amplitude": at.small, "pitch": pitch, "phase": 0.0}

@@ -13,7 +13,7 @@ from ...diagnosis._estimation.gauss_newton import Fitter
 from ...diagnosis._estimation.noise import white_weights
 from ...diagnosis._estimation.structure import base_structure
 from ...diagnosis._hypotheses.motion import motions
-from ...diagnosis._hypotheses.pair_forces import Deconvolution
+from ...diagnosis._hypotheses.pair_forces import reconstruct_force
 from ...diagnosis._simulation.problem import Problem, Record
 from ...physics.network import GROUND, Network
 from ...physics.simulate import pace
@@ -134,9 +134,8 @@ def _reconstructed(d: Diagnosis, trace: Trace, pair: tuple[str, str]) -> Missing
     names = [c.name for c in d.refitted.outputs if c.name in trace.refit]
     measured = {n: trace.measured[n] for n in names}
     noise = {n: d.gap["noise_floor"][n] * float(np.std(measured[n])) for n in names}
-    response = Deconvolution.of(d.refitted, pair, trace.time, measured)
     residuals = {n: measured[n] - trace.refit[n] for n in names}
-    force = response.force(residuals, noise)
+    force = reconstruct_force(d.refitted, pair, trace.time, measured, residuals, noise)
     edge = max(1, len(trace.time) // TAPER)
     curve = Curve(*_motion(d.model, trace, pair), force).part(
         slice(edge, len(trace.time) - edge)
