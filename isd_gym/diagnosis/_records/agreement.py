@@ -16,7 +16,7 @@ import numpy as np
 from scipy import signal
 
 from ..._common.errors import plain
-from ..._common.units import TABLE, convert
+from ..._common.units import convert, units_of
 from ...physics.network import own_time
 from .._simulation.problem import Problem, simulate_from_rest
 
@@ -36,15 +36,8 @@ UNLIKE = (
 LEAST_SAMPLES = 256  # of a compared record
 SEGMENTS = 8  # number of segments of a record, without overlap
 NARROW = 4.0  # effective number of spectral lines below which a signal is a single sine
-#: factors that a wrong unit causes, with the largest relative deviation of the measured factor
-SLIPS = (
-    (1e3, 1.6),
-    (1e-3, 1.6),
-    (9.80665, 1.25),
-    (1 / 9.80665, 1.25),
-    (180 / math.pi, 1.25),
-    (math.pi / 180, 1.25),
-)
+LARGE = 9.0  # least ratio of two units for a statement, since gains of sensors may be wrong too
+SLACK = 1.5  # largest ratio of the measured factor to that of two units
 VAGUE = (
     1.0  # relative uncertainty of a parameter from which amplitudes are not compared
 )
@@ -119,16 +112,13 @@ def _describe_turned(network: Network, turned: NDArray[np.int_], own: Array) -> 
 
 def _find_wrong_unit(network: Network, own: Array, gain: Array) -> str:
     """Return a line on a channel in a wrong unit: the only drive where all outputs differ by one factor, else the first such output."""
-    slips: dict[int, float] = {}
-    for j in np.flatnonzero(own > SCALED):
-        for factor, slack in SLIPS:
-            if 1 / slack < gain[j] / factor < slack:
-                slips.setdefault(int(j), factor)
-    drives, factors = _drives(network), set(slips.values())
-    is_every = 1 < len(slips) == len(network.outputs)
-    if is_every and len(factors) == len(drives) == 1:
-        return _describe_unit(drives[0], 1 / factors.pop(), min(own))
-    lines = [_describe_unit(network.outputs[j], k, own[j]) for j, k in slips.items()]
+    drives = _drives(network)
+    common = float(np.median(gain))
+    is_common = (own > SCALED) & (gain < SLACK * common) & (common < SLACK * gain)
+    if len(gain) > 1 and is_common.all() and len(drives) == 1:
+        return _describe_unit(drives[0], 1 / common, min(own))
+    agreeing = np.flatnonzero(own > SCALED)
+    lines = [_describe_unit(network.outputs[j], gain[j], own[j]) for j in agreeing]
     return next(filter(None, lines), "")
 
 
@@ -194,11 +184,13 @@ def _find_swapped(outputs: Sequence[Channel], r: Array, gain: Array) -> str:
     return ""
 
 
-def _describe_unit(channel: Channel, factor: float, r: float) -> str:
-    """Return a line on a channel that is `factor` times as large as the model; '' where no unit differs by that factor."""
-    name = plain(channel.name, 40)
-    size = f"{factor:.4g} times" if factor > 1 else f"1/{1 / factor:.4g} of"
-    for unit, (si, _) in TABLE.items():
-        if si == channel.si and 0.98 < convert(1.0, unit, channel.unit) * factor < 1.02:
+def _describe_unit(channel: Channel, gain: float, r: float) -> str:
+    """Return a line on a channel whose amplitude is about `gain` times that of the model; '' where no unit differs by that factor."""
+    factors = {u: convert(1.0, channel.unit, u) for u in units_of(channel.si)}
+    for unit, factor in factors.items():
+        is_far = not 1 / LARGE < factor < LARGE
+        if is_far and 1 / SLACK < gain / factor < SLACK:
+            name = plain(channel.name, 40)
+            size = f"{factor:.4g} times" if factor > 1 else f"1/{1 / factor:.4g} of"
             return f"{name} is {size} what the model says, with r = {r:.2f}, in a wrong unit: --unit {name}={unit}"
     return ""
