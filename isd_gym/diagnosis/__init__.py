@@ -3,7 +3,7 @@
 Data go one way, from the first of these packages to the last:
 
 - `_simulation`: records and channels, and what a model says of them;
-- `_records`: reading, filtering, several rates, feedback, training, validation and test parts;
+- `_records`: reading, resampling, filtering, feedback, training, validation and test parts;
 - `_estimation`: fits of a model with its initial states, clock lags and noise;
 - `_hypotheses`: effects that could be missing, at places, with the motion and the forces there;
 - `_selection`: which effects predict held-out records best;

@@ -24,8 +24,8 @@ from ._estimation.exchanged_roles import invert, prefer_direct_problem
 from ._records.agreement import find_misreading
 from ._records.feedback import Feedback, find_feedback
 from ._records.filtering import differentiate_inputs
-from ._records.multirate import check_sampling_rates
 from ._records.reading import read_record, thin_long_record
+from ._records.resampling import check_sampling_rates
 from ._records.splitting import LEAD_IN, cut_segments, split_records
 from ._result_builder import ResultBuilder
 from ._selection.criteria import CRITERIA, Criteria
@@ -185,7 +185,7 @@ def _diagnose_inverse(flow: Workflow, records: list[Record]) -> Diagnosis | None
     """Return the diagnosis of the force that the measured motion needs, where the simulation of a mass that no spring holds drifts away;
     None without an inverse of the model, without a name, or where the named laws leave as much. Its `whole` is the completed model."""
     inverse = invert(flow.network)
-    if inverse is None or any(r.reading is not None for r in records):
+    if inverse is None or any(r.source is not None for r in records):
         return None
     limit = flow.clock
     try:

@@ -53,7 +53,7 @@ def prefer_direct_problem(
     """Return records, model and a note with motion and force swapped; None where the computed force has less noise than `least_noise`
     (share of its deviation), or where the refitted direct model errs more than `largest_error` times a straight line."""
     pairs = find_computed_forces(network)
-    if len(pairs) != 1 or any(r.reading is not None for r in records):
+    if len(pairs) != 1 or any(r.source is not None for r in records):
         return None
     motion, force = pairs[0]
     inverse = Problem(network, records[:training])

@@ -134,7 +134,7 @@ class Fitter:
     ) -> Point:
         """Return the point with outputs and costs; the cost is infinite where the simulation breaks down."""
         for i, y in outputs.items():
-            at.outputs[i] = self.problem.shifted(i, y, at.offset[i])
+            at.outputs[i] = y + at.offset[i]
             square = math.inf
             if np.isfinite(y).all() and np.abs(y).max() <= 1e12:
                 square = float(
@@ -190,7 +190,7 @@ class Fitter:
         self.price(structure, at, {i: t.outputs for i, t in found.items()})
         out = {}
         for i, t in found.items():
-            free = self.problem.nuisances(i, t.outputs)
+            free = self.problem.nuisances(t.outputs)
             common = self.problem.common(t.outputs)[:, :, : None if moves else 0]
             stack = np.concatenate([t.by_parameter, common, t.by_state, free], axis=2)
             if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
@@ -233,9 +233,9 @@ class Fitter:
         for i, move in moves.items():
             n0 = len(at.initial[i])
             initial[i] = at.initial[i] + move[:n0]
-            offset[i][self.problem.moves(i)] += move[n0:]
+            offset[i][self.problem.record_offset] += move[n0:]
             if common is not None:
-                offset[i][np.flatnonzero(self.problem.shared_offset)] += common
+                offset[i][self.problem.shared_offset] += common
         return Point(x, initial, offset)
 
     # -- fits -------------------------------------------------------------------------------------------
@@ -263,20 +263,17 @@ class Fitter:
         given, known, problem = initial or {}, offset or {}, self.problem
         shared = structure.offsets
         if known and problem.shared_offset.any():
-            shared = tuple(
-                np.mean(
-                    [o[: len(problem.channels)] for o in known.values()], axis=0
-                ).tolist()
-            )
+            shared = tuple(np.mean([*known.values()], axis=0).tolist())
+        common = 0.0 if shared is None else shared
+        fixed = np.where(problem.shared_offset, common, 0.0)
         out = Point(x.copy(), {}, {})
         for i in records:
             there = i in given and len(given[i]) == n0
             out.initial[i] = (
                 given[i].copy() if there else guess(problem, net, i, offsets=shared)
             )
-            out.offset[i] = problem.nothing(i, shared)
-            if i in known:
-                out.offset[i][problem.moves(i)] = known[i][problem.moves(i)]
+            own = known.get(i, fixed)
+            out.offset[i] = np.where(problem.record_offset, own, fixed)
         return out
 
     def with_offsets(
@@ -498,7 +495,7 @@ class Fitter:
         begun = {i: initial[i] for i in responses}
         for i, t in tangents(problem, structure, x, begun, over=over).items():
             s = responses[i]
-            free = problem.nuisances(i, t.outputs)
+            free = problem.nuisances(t.outputs)
             stack = np.concatenate(
                 [t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2
             )

@@ -204,7 +204,7 @@ def propagate_input_noise(problem: Problem) -> Array:
     level."""
     network, noise = problem.network, np.zeros(len(problem.channels))
     pairs = find_computed_forces(network)
-    training = [i for i in problem.estimation if problem.records[i].reading is None]
+    training = problem.estimation
     if not pairs or not training:
         return noise
     names = dict.fromkeys(motion.name for motion, _ in pairs)

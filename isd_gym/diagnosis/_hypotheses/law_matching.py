@@ -60,9 +60,9 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     parts, rows, nuisances, at = [], {}, {}, 0
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
-        seen = problem.shifted(i, t.outputs, fit.offset[i])
+        seen = t.outputs + fit.offset[i]
         r = (problem.records[i].measured - seen)[:, :, None]
-        free = problem.nuisances(i, t.outputs)
+        free = problem.nuisances(t.outputs)
         common = problem.common(t.outputs)
         stack = np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2)
         W = fitter.weights(stack).reshape(-1, stack.shape[2])

@@ -59,11 +59,11 @@ class Feedback:
 
 def find_feedback(records: Sequence[Record], network: Network) -> tuple[Feedback, ...]:
     """Return the commanded inputs that past outputs predict beyond their own past (with the time since the last switch of an input that
-    switches), on blocks that took no part in the fit; records with time stamps by channel are left out."""
+    switches), on blocks that took no part in the fit; resampled records are left out."""
     usable = [
         r
         for r in records
-        if r.reading is None and r.samples == len(r) > 4 * (OWN + OUTPUT)
+        if r.source is None and r.samples == len(r) > 4 * (OWN + OUTPUT)
     ]
     step = max(usable, key=len).step if usable else 0.0
     usable = [r for r in usable if abs(r.step - step) < 1e-3 * step]

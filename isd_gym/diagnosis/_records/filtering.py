@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import firwin, welch
+from scipy.signal import welch
 
 from ...physics.network import MOTIONS, natural_frequencies
 from .._simulation.interpolation import differences
 from .._simulation.problem import low_pass
-from .multirate import build_record
+from .resampling import CUTOFF, build_record, compare_behind_low_pass
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .._simulation.problem import Record
 
 QUIET = 0.02  # relative noise (RMS) of a derivative below which no low-pass is needed
-#: Cutoff of the low-pass as a share of the Nyquist frequency of the compared samples; the roll-off takes the rest.
-FILLED = 0.85
 #: Share of the cutoff up to which the low-pass keeps a signal whole (the gain at the cutoff is one half).
 PASSED = 0.75
 #: Ratio of power density to noise density above which an output holds a signal (2: equal parts).
@@ -53,26 +51,15 @@ def differentiate_inputs(records: list[Record], network: Network) -> list[Record
     thin = choose_decimation(records, network)
     if thin < 2:
         return records
-    shortest = min(r.samples for r in records)
-    cutoff = FILLED * 0.5 / (step * thin)
-    size = min(2 * math.ceil(4.0 / (cutoff * step)) + 1, 2 * (shortest // 8) + 1)
-    taps = firwin(size, cutoff, fs=1 / step, window=("kaiser", 6.0))
-    # near the ends of a record the filter extrapolates: inputs and outputs there are not compared
-    margin = min(math.ceil(len(taps) / thin), shortest // (8 * thin))
     moved = [c.name for c in network.moving if c.name in orders]
     out = []
     for r in records:
-        if r.source is not None:  # outputs with time stamps of their own
-            made = build_record(r.source, network, r.lags, thin=thin, cutoff=cutoff)
-            filtered = replace(made, name=r.name, taps=taps)
+        if r.source is not None:
+            filtered = build_record(r.source, network, thin=thin, passes=2)
         else:
-            kept = slice(margin * thin, r.samples - margin * thin, thin)
-            measured = low_pass(r.measured, taps)[kept]
-            filtered = replace(
-                r, measured=measured, taps=taps, margin=margin, thin=thin
-            )
+            filtered = compare_behind_low_pass(r, thin, passes=2)
         inputs = dict(filtered.inputs) | {
-            n: low_pass(filtered.inputs[n], taps) for n in moved
+            n: low_pass(filtered.inputs[n], filtered.taps) for n in moved
         }
         slopes = {n: differences(inputs[n], filtered.step) for n in moved}
         noise = {n: estimate_white_noise(r.inputs[n]) for n in moved}
@@ -103,13 +90,13 @@ def _highest_derivative(network: Network, node: str) -> int:
 
 
 def choose_decimation(records: Sequence[Record], network: Network) -> int:
-    """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency: 1 if no input
+    """Return n such that every n-th output sample is compared, behind a low-pass at `CUTOFF` of the new Nyquist frequency: 1 if no input
     has noisy derivatives, else as many as the signal band of the outputs permits."""
     orders = count_derivatives(network).items()
     if max(_relative_noise(records, *order) for order in orders) < QUIET:
         return 1
     highest = max(find_signal_band(r, network) for r in records)
-    most = FILLED * PASSED * 0.5 / (records[0].step * max(highest, 1e-300))
+    most = CUTOFF * PASSED * 0.5 / (records[0].step * max(highest, 1e-300))
     return max(math.floor(min(most, min(map(len, records)) / LEAST_COMPARED)), 1)
 
 

@@ -18,7 +18,7 @@ from ...records.data._quality import CAR, Scale, admit, known_check, rises_uneve
 from ...records.loggers.recording import Recording, Signal
 from .._simulation.problem import BROKEN, Record, simulate_from_rest, thinned
 from .filtering import count_derivatives
-from .multirate import build_record, check_recording
+from .resampling import build_record, check_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -82,7 +82,7 @@ def read_record(
 
 def thin_long_record(record: Record, network: Network, notes: list[str]) -> Record:
     """Return a record of at most `LONG` samples, or as few as resolve the motion, behind a low-pass; shorter records stay as they are."""
-    if record.samples <= LONG or record.filtered or record.reading is not None:
+    if record.samples <= LONG or record.filtered or record.source is not None:
         return record
     by = min(math.ceil(record.samples / LONG), int(COARSE * record.pace / record.step))
     if by < 2:
@@ -97,10 +97,10 @@ def thin_long_record(record: Record, network: Network, notes: list[str]) -> Reco
 def _read_recording(
     recording: Recording, network: Network, notes: list[str], accept: Sequence[str]
 ) -> Record:
-    """Return a record whose outputs are compared at their own time stamps, after the data checks."""
+    """Return a record resampled onto a uniform grid, after the data checks."""
     scale = _estimate_scale(network, lambda: build_record(recording, network))
     check_recording(recording, network, accept, notes, scale)
-    return build_record(recording, network, None, notes)
+    return build_record(recording, network, notes)
 
 
 def _convert_table(table: Table, network: Network) -> Record:

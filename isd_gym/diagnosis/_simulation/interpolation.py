@@ -1,9 +1,6 @@
-"""Inputs between their samples, at every step of the physics, and outputs at the instants of their samples."""
+"""Inputs between their samples, at every step of the physics."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -60,23 +57,3 @@ def splined_input(
         for k in (0, 1)
     ]
     return x, *derived
-
-
-@dataclass(frozen=True)
-class OutputSampler:
-    """Linear map from simulated outputs on the grid of a record to compared outputs."""
-
-    matrices: tuple[Any, ...]  # sparse matrix (compared, grid) of each channel
-    filtered: bool  # whether a matrix contains a low-pass
-
-    def __call__(self, outputs: Array) -> Array:
-        """Return compared outputs (compared, channels, lanes) of simulated outputs (grid, channels, lanes)."""
-        return np.stack(
-            [m @ outputs[:, j] for j, m in enumerate(self.matrices)], axis=1
-        )
-
-    def part(self, first: int, stop: int, cut: slice) -> OutputSampler:
-        """Return the map of compared samples first..stop-1 from the grid samples `cut`."""
-        return OutputSampler(
-            tuple(m[first:stop, cut] for m in self.matrices), self.filtered
-        )

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from ..._common.arrays import Array
     from ...records.loggers.recording import Recording
-    from .interpolation import OutputSampler
 
 
 #: use of a record: training (fit), validation (choose) or test (report)
@@ -54,22 +53,10 @@ class Record:
     thin: int = 1  # every `thin`-th sample of the filtered outputs is compared
     margin: int = 0  # compared samples left out at either end, where the filter extrapolates; inputs cover these samples
     lead: int = 0  # compared samples of inputs before the first compared sample: laws with memory forget their start
-    reading: OutputSampler | None = (
-        None  # sampler of simulated outputs at the time stamps of each channel
-    )
-    clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
-    late: tuple[
-        Array, ...
-    ] = ()  # (channels,) for each clock: whether a channel has its stamps
-    lags: Mapping[str, float] = field(
-        default_factory=dict
-    )  # [s] assumed lag of each clock
     #: RMS white noise of moved nodes' displacements before the low-pass [SI]; without an entry it is estimated
     input_noise: Mapping[str, float] = field(default_factory=dict)
-    size: int = (
-        0  # samples of the grid, where the compared samples do not tell the number
-    )
-    source: Recording | None = None
+    size: int = 0  # number of simulated samples without inputs, of an unread record
+    source: Recording | None = None  # recording of a resampled record
 
     def __len__(self) -> int:
         """Number of compared samples of the outputs."""
@@ -78,9 +65,9 @@ class Record:
     @property
     def samples(self) -> int:
         """Number of samples of the inputs."""
-        return self.size or (
-            len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured)
-        )
+        if self.inputs:
+            return len(next(iter(self.inputs.values())))
+        return self.size or (self.before + len(self) - 1 + self.margin) * self.thin + 1
 
     @property
     def interval(self) -> float:
@@ -110,15 +97,11 @@ class Record:
     @property
     def filtered(self) -> bool:
         """Whether the compared outputs are low-pass filtered."""
-        return self.taps is not None or (
-            self.reading is not None and self.reading.filtered
-        )
+        return self.taps is not None
 
     def unread(self) -> Record:
-        """Return the record without filter and sampler: a simulation is compared at every sample of the inputs."""
-        return replace(
-            self, taps=None, thin=1, lead=0, reading=None, clocks=(), late=()
-        )
+        """Return the record without filter: a simulation is compared at every sample of the inputs."""
+        return replace(self, taps=None, thin=1, lead=0, size=self.samples)
 
     def seen(self, values: Array) -> Array:
         """Return the values (samples, ...) at the compared samples."""
@@ -126,13 +109,13 @@ class Record:
 
     def read(self, values: Array) -> Array:
         """Return the compared samples of simulated outputs, filtered like the measurement."""
-        if self.taps is None and not self.lead:
+        if self.taps is None and self.thin == 1 and not self.lead:
             return values
         return self.seen(values if self.taps is None else low_pass(values, self.taps))
 
     def part(self, first: int, stop: int, name: str, lead: int = 0) -> Record:
         """Return compared samples first to stop - 1 as a record; at most `lead` samples before the first lead in."""
-        back = 0 if self.reading else min(max(lead, self.lead), self.lead + first)
+        back = min(max(lead, self.lead), self.lead + first)
         back -= (
             back % WHOLE
         )  # a record can be thinned by each factor up to `MAX_THINNING`
@@ -148,10 +131,6 @@ class Record:
             slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
             start=self.start + begin * self.interval,
             lead=back,
-            reading=None
-            if self.reading is None
-            else self.reading.part(first, stop, cut),
-            size=self.size and cut.stop - cut.start,
         )
 
 
@@ -196,6 +175,13 @@ def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
     return oaconvolve(padded, taps.reshape(shape), mode="same", axes=0)[
         half_in : half_in + len(values) : thin
     ]
+
+
+def _unit_columns(outputs: Array, chosen: NDArray[np.bool_]) -> Array:
+    """Return a column of ones for each chosen channel (samples, channels, columns)."""
+    return np.broadcast_to(
+        np.eye(len(chosen))[:, chosen], (len(outputs), len(chosen), chosen.sum())
+    )
 
 
 def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array:
@@ -361,7 +347,7 @@ class Problem:
                 MAX_THINNING,
             )
         )
-        if record.reading is not None:
+        if record.source is not None:
             return 1
         if record.taps is None:
             return max(most, 1)
@@ -385,48 +371,13 @@ class Problem:
         ]
         return deviation_within([r.measured for r in pick], [r.name for r in pick])
 
-    def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
-        """Return offsets (channels,) and further lags (clocks,) of a record at the start of a fit: zero but for known shared offsets."""
-        out = np.zeros(len(self.channels) + len(self.records[index].clocks))
-        if shared is not None:
-            out[np.flatnonzero(self.shared_offset)] = np.asarray(shared)[
-                self.shared_offset
-            ]
-        return out
-
     def common(self, outputs: Array) -> Array:
-        """Return the derivatives of `outputs` (samples, channels) by the shared offsets (samples, channels, offsets)."""
-        own = np.flatnonzero(self.shared_offset)
-        out = np.zeros((*outputs.shape, len(own)))
-        out[:, own, np.arange(len(own))] = 1.0
-        return out
+        """Return the derivatives of outputs (samples, channels) by the shared offsets (samples, channels, offsets)."""
+        return _unit_columns(outputs, self.shared_offset)
 
-    def moves(self, index: int) -> NDArray[np.bool_]:
-        """Return which nuisances may move in a single record: offsets per record, and every lag."""
-        return np.concatenate(
-            [self.record_offset, np.ones(len(self.records[index].clocks), bool)]
-        )
-
-    def nuisances(self, index: int, outputs: Array) -> Array:
-        """Return the derivatives of the outputs of a record by its nuisances (samples, channels, nuisances)."""
-        record, free = self.records[index], np.flatnonzero(self.record_offset)
-        out = np.zeros((*outputs.shape, len(free) + len(record.clocks)))
-        out[:, free, np.arange(len(free))] = 1.0
-        if record.clocks:
-            slope = np.gradient(outputs, record.interval, axis=0)
-            for k, own in enumerate(record.late):
-                out[:, own, len(free) + k] = -slope[:, own]
-        return out
-
-    def shifted(self, index: int, outputs: Array, nuisance: Array) -> Array:
-        """Return outputs (samples, channels, ...) with offsets and lags."""
-        record, ny = self.records[index], len(self.channels)
-        out = outputs + nuisance[:ny].reshape(ny, *[1] * (outputs.ndim - 2))
-        if record.clocks and np.any(nuisance[ny:]):
-            slope = np.gradient(outputs, record.interval, axis=0)
-            for own, lag in zip(record.late, nuisance[ny:], strict=True):
-                out[:, own] -= lag * slope[:, own]
-        return out
+    def nuisances(self, outputs: Array) -> Array:
+        """Return the derivatives of outputs (samples, channels) by the offsets of a record (samples, channels, offsets)."""
+        return _unit_columns(outputs, self.record_offset)
 
     def simulate(
         self,
@@ -504,7 +455,7 @@ class Problem:
         read = {}
         for k, (i, r) in enumerate(zip(members, records, strict=True)):
             own = out[: r.samples, :, k * wide : (k + 1) * wide]
-            read[i] = r.reading(own) if r.reading else r.read(own)
+            read[i] = r.read(own)
         return read
 
     def _inputs_of_lanes(
