@@ -6,7 +6,7 @@ gives a Gauss-Newton step of the lag, and the record is resampled at the next la
 
 from __future__ import annotations
 
-import contextlib
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -79,15 +79,16 @@ def align_clocks(
     """
     out, found = list(records), []
     for i, record in enumerate(out):
-        if record.source is None:
-            continue
         recording = record.source
+        if recording is None:
+            continue
         known = {find_reference_clock(recording, network), *recording.lags}
         clocks = dict.fromkeys(recording.signals[c.name].clock for c in network.outputs)
         for clock in clocks:
             if clock not in known:
-                lag = _find_lag(recording, clock, network, limit)
-                recording = _with_lag(recording, clock, lag.value)
+                lag = _LagSearch(recording, clock, network).find(limit)
+                lags = {**recording.lags, clock: lag.value}
+                recording = replace(recording, lags=lags)
                 out[i] = build_record(recording, network)
                 found.append(lag)
     return out, found
@@ -98,121 +99,110 @@ class _LagFit:
     """Gauss-Newton step of a lag from a simulation with nominal or refitted parameters."""
 
     #: parameters
-    x: Array
+    x: Array | None
     #: next estimate of the lag [s]
     lag: float
     #: half the 95 % interval of the lag [s], from the scatter of blocks
-    half: float
+    half: float = math.inf
     #: cost per sample at the next estimate, to first order
-    cost: float
+    cost: float = math.inf
 
 
-def _find_lag(recording: Recording, clock: str, network: Network, limit: float) -> Lag:
-    """Return the lag of a clock: of the lags of highest correlation the one with the smallest error of a refit.
+class _LagSearch:
+    """Search for the lag of a clock.
 
-    A refit removes errors of parameters from the lag. Where an effect is missing, the nominal parameters are often closer. Of the lags
-    with either parameters the one with the narrower interval is taken.
+    A refit removes errors of parameters from the lag. Where an effect is missing, the nominal parameters are often closer.
     """
-    record = build_record(recording, network)
-    tried = []
-    for lag in _peaks(recording, clock, network, limit):
-        with contextlib.suppress(*BROKEN):
-            tried.append(_fit_lag(recording, clock, network, lag, ITERATIONS))
-    if not tried:
-        doubt = "the model breaks down before anything is fitted"
-        return Lag(record.name, clock, 0.0, -limit, limit, doubt)
-    start = min(tried, key=lambda fit: fit.cost)
-    alike = [fit.lag for fit in tried if fit.cost < ALIKE * start.cost]
-    alike = [lag for lag in alike if abs(lag - start.lag) > record.pace]
-    refined = []
-    for iterations in (0, ITERATIONS):
-        found = start
-        x = start.x if iterations else None
-        with contextlib.suppress(*BROKEN):
-            for _ in range(ROUNDS):
-                found = _fit_lag(recording, clock, network, found.lag, iterations, x)
-                x = found.x
-            refined.append(found)
-    best = min(refined or [start], key=lambda fit: fit.half)
-    doubt = ""
-    if abs(best.lag) > 0.97 * limit:
-        doubt = f"at the limit of {limit:.3g} s within which it was sought"
-    elif alike:
-        doubt = f"{1e3 * min(alike, key=abs):.4g} ms would be nearly as good"
-    low, high = best.lag - best.half, best.lag + best.half
-    return Lag(record.name, clock, best.lag, low, high, doubt)
 
+    def __init__(self, recording: Recording, clock: str, network: Network):
+        self.recording = recording
+        self.clock = clock
+        self.network = network
+        self.late = [recording.signals[c.name].clock == clock for c in network.outputs]
 
-def _late(recording: Recording, clock: str, network: Network) -> list[int]:
-    """Return the outputs with the stamps of a clock."""
-    outputs = enumerate(network.outputs)
-    return [j for j, c in outputs if recording.signals[c.name].clock == clock]
+    def find(self, limit: float) -> Lag:
+        """Return the lag with the smallest error of a refit, and of its estimates with nominal and refitted parameters the one with the
+        narrower interval."""
+        record = self._record(0.0)
+        fits = [self._refine(lag, ITERATIONS, 1) for lag in self._peaks(record, limit)]
+        start = min(fits, key=lambda fit: fit.cost)
+        alike = [fit.lag for fit in fits if fit.cost < ALIKE * start.cost]
+        alike = [lag for lag in alike if abs(lag - start.lag) > record.pace]
+        refined = [self._refine(start.lag, k, ROUNDS) for k in (0, ITERATIONS)]
+        best = min(refined, key=lambda fit: fit.half)
+        half = min(best.half, limit)
+        doubt = ""
+        if math.isinf(best.half):
+            doubt = "the model breaks down before anything is fitted"
+        elif abs(best.lag) > 0.97 * limit:
+            doubt = f"at the limit of {limit:.3g} s within which it was sought"
+        elif alike:
+            doubt = f"{1e3 * min(alike, key=abs):.4g} ms would be nearly as good"
+        low, high = best.lag - half, best.lag + half
+        return Lag(record.name, self.clock, best.lag, low, high, doubt)
 
+    def _record(self, lag: float) -> Record:
+        """Return the record at a lag [s], compared at the raster of the lags: the low-pass removes noise, whose slope says nothing about a
+        lag."""
+        lags = {**self.recording.lags, self.clock: lag}
+        recording = replace(self.recording, lags=lags)
+        record = build_record(recording, self.network)
+        thin = max(1, int(RASTER * record.pace / record.step))
+        return build_record(recording, self.network, thin=thin)
 
-def _with_lag(recording: Recording, clock: str, lag: float) -> Recording:
-    """Return a recording with a known lag [s] of a clock."""
-    return replace(recording, lags={**recording.lags, clock: lag})
+    def _refine(self, lag: float, iterations: int, rounds: int) -> _LagFit:
+        """Return the last of several steps from a lag [s]; its interval is infinite where the simulation breaks down."""
+        fit = _LagFit(None, lag)
+        try:
+            for _ in range(rounds):
+                fit = self._step(fit, iterations)
+        except BROKEN:
+            return _LagFit(None, lag)
+        return fit
 
+    def _step(self, start: _LagFit, iterations: int) -> _LagFit:
+        """Return the next step, after a refit of parameters and initial state unless there are no iterations."""
+        record = self._record(start.lag)
+        problem = Problem(self.network, [record])
+        weights = white_weights(0.5 * ROUGH * problem.deviation())
+        fitter = Fitter(problem, weights)
+        structure = base_structure(self.network)
+        fit = fitter.fit(structure, start.x, iterations=iterations)
+        # measured outputs are the simulated ones, later by what the lag lacks
+        slope = -np.gradient(fit.outputs[0], record.interval, axis=0) * self.late
+        by_lag = weights(slope)
+        if iterations:
+            by_lag = fitter.refit(fit, {0: slope[:, :, None]})[1][0][:, :, 0]
+        residual = weights(record.measured - fit.outputs[0])
+        information = max(float(np.sum(by_lag**2)), 1e-300)
+        stride = STRIDE * record.pace
+        step = float(np.clip(np.sum(by_lag * residual) / information, -stride, stride))
+        rest = residual - step * by_lag
+        score = np.sum(by_lag * rest, axis=1)
+        blocks = np.array_split(score - score.mean(), BLOCKS)
+        half = Z95 * float(np.linalg.norm([b.sum() for b in blocks])) / information
+        cost = (float(np.sum(rest**2)) + fit.prior) / len(record)
+        return _LagFit(fit.x, start.lag + step, half, cost)
 
-def _fit_lag(
-    recording: Recording,
-    clock: str,
-    network: Network,
-    lag: float,
-    iterations: int,
-    x: Array | None = None,
-) -> _LagFit:
-    """Return the step from a lag [s], after a refit of parameters and initial state from `x` unless there are no iterations."""
-    record = build_record(_with_lag(recording, clock, lag), network)
-    problem = Problem(network, [record])
-    weights = white_weights(0.5 * ROUGH * problem.deviation())
-    fitter = Fitter(problem, weights)
-    fit = fitter.fit(base_structure(network), x, iterations=iterations)
-    # measured outputs are the simulated ones, later by what the lag lacks
-    late = _late(recording, clock, network)
-    slope = np.zeros_like(record.measured)
-    slope[:, late] = -np.gradient(fit.outputs[0], record.interval, axis=0)[:, late]
-    by_lag = weights(slope)
-    if iterations:
-        by_lag = fitter.refit(fit, {0: slope[:, :, None]})[1][0][:, :, 0]
-    residual = weights(record.measured - fit.outputs[0])
-    information = max(float(np.sum(by_lag**2)), 1e-300)
-    stride = STRIDE * record.pace
-    step = float(np.clip(np.sum(by_lag * residual) / information, -stride, stride))
-    rest = residual - step * by_lag
-    score = np.sum(by_lag * rest, axis=1)
-    blocks = np.array_split(score - score.mean(), BLOCKS)
-    half = Z95 * float(np.linalg.norm([b.sum() for b in blocks])) / information
-    cost = (float(np.sum(rest**2)) + fit.prior) / len(record)
-    return _LagFit(fit.x, lag + step, half, cost)
-
-
-def _peaks(
-    recording: Recording, clock: str, network: Network, limit: float
-) -> list[float]:
-    """Return the lags [s] of a clock with the highest correlation of simulated and measured outputs, each a time scale from the others."""
-    record = build_record(recording, network)
-    problem = Problem(network, [record])
-    initial = guess(problem, network, 0)[:, None]
-    simulated = problem.simulate([network], 0, initial)[:, :, 0]
-    time = record.time
-    spacing = RASTER * record.pace
-    count = int(min(limit, 0.25 * (time[-1] - time[0])) / spacing)
-    lags = spacing * np.arange(-count, count + 1)
-    inner = slice(*np.searchsorted(time, [time[0] - lags[0], time[-1] + lags[0]]))
-    score = np.zeros(len(lags))
-    for j in _late(recording, clock, network):
-        for n, lag in enumerate(lags):
-            x = np.interp(time[inner] + lag, time, record.measured[:, j])
-            score[n] += _correlation(x, simulated[inner, j])
-    found: list[float] = []
-    for lag in lags[np.argsort(-score, kind="stable")]:
-        if len(found) < PEAKS and all(abs(lag - x) > record.pace for x in found):
-            found.append(float(lag))
-    return found
-
-
-def _correlation(x: Array, y: Array) -> float:
-    """Return the correlation of two signals (n,); 0 for a constant."""
-    x, y = x - x.mean(), y - y.mean()
-    return float(x @ y) / max(float(np.linalg.norm(x) * np.linalg.norm(y)), 1e-300)
+    def _peaks(self, record: Record, limit: float) -> list[float]:
+        """Return the lags [s] with the highest correlation of simulated and measured outputs, each a time scale from the others."""
+        problem = Problem(self.network, [record])
+        initial = guess(problem, self.network, 0)[:, None]
+        simulated = problem.simulate([self.network], 0, initial)[:, :, 0]
+        time = record.time
+        spacing = RASTER * record.pace
+        count = int(min(limit, 0.25 * (time[-1] - time[0])) / spacing)
+        lags = spacing * np.arange(-count, count + 1)
+        inner = slice(*np.searchsorted(time, [time[0] - lags[0], time[-1] + lags[0]]))
+        score = np.zeros(len(lags))
+        for j in np.flatnonzero(self.late):
+            for n, lag in enumerate(lags):
+                x = np.interp(time[inner] + lag, time, record.measured[:, j])
+                with np.errstate(all="ignore"):  # a constant has no correlation
+                    r = np.corrcoef(x, simulated[inner, j])[0, 1]
+                score[n] += np.nan_to_num(r)
+        found: list[float] = []
+        for lag in lags[np.argsort(-score, kind="stable")]:
+            if len(found) < PEAKS and all(abs(lag - x) > record.pace for x in found):
+                found.append(float(lag))
+        return found

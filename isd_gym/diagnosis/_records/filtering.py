@@ -58,9 +58,10 @@ def differentiate_inputs(records: list[Record], network: Network) -> list[Record
             filtered = build_record(r.source, network, thin=thin, passes=2)
         else:
             filtered = compare_behind_low_pass(r, thin, passes=2)
-        inputs = dict(filtered.inputs) | {
-            n: low_pass(filtered.inputs[n], filtered.taps) for n in moved
-        }
+        assert filtered.taps is not None
+        inputs = dict(filtered.inputs)
+        for n in moved:
+            inputs[n] = low_pass(inputs[n], filtered.taps)
         slopes = {n: differences(inputs[n], filtered.step) for n in moved}
         noise = {n: estimate_white_noise(r.inputs[n]) for n in moved}
         out.append(replace(filtered, inputs=inputs, slopes=slopes, input_noise=noise))

@@ -82,7 +82,7 @@ def read_record(
 
 def thin_long_record(record: Record, network: Network, notes: list[str]) -> Record:
     """Return a record of at most `LONG` samples, or as few as resolve the motion, behind a low-pass; shorter records stay as they are."""
-    if record.samples <= LONG or record.filtered or record.source is not None:
+    if record.samples <= LONG or record.source is not None:
         return record
     by = min(math.ceil(record.samples / LONG), int(COARSE * record.pace / record.step))
     if by < 2:

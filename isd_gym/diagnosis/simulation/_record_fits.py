@@ -146,7 +146,7 @@ def prediction_errors(
     records = [read_record(d, network, notes, ("all",)) for d in data]
     records, lags = align_clocks(records, network)
     records = differentiate_inputs(records, network)
-    if any(r.filtered for r in records):
+    if any(r.slopes for r in records):
         notes.append(
             "measured and simulated outputs pass one low-pass, since a noisy input is differentiated"
         )
