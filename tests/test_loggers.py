@@ -14,6 +14,7 @@ from isd_gym.diagnosis._records.resampling import build_record
 from isd_gym.diagnosis._simulation.problem import Problem
 from isd_gym.records.data import write_table
 from isd_gym.records.loggers import ChannelMap, Recording, Signal, runs
+from isd_gym.records.loggers.recording import sampled
 
 NETWORK = Network.load(CAR)
 CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)
@@ -102,6 +103,12 @@ def test_a_lag_that_is_known_is_taken(truth):
     record = build_record(run, NETWORK)
     assert align_clocks([record], NETWORK) == ([record], [])
     assert left(record).max() < 3e-3
+
+
+def test_a_held_input_is_averaged_from_instant_to_instant():
+    held = Signal(np.arange(4.0), np.array([0.0, 2.0, 0.0, 0.0]), "A", "a")
+    values, _ = sampled(held, np.array([0.5, 1.5, 2.5]), "current")
+    assert values == pytest.approx([1.0, 1.0, 0.0])
 
 
 def test_inputs_on_two_clocks_ask_for_the_lag():

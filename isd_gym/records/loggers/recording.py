@@ -366,8 +366,8 @@ def spans(pieces: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[float, 
 def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, str]:
     """Return an input at given instants (n,) [s] in its unit, and the kind of interpolation ('' for identical stamps).
 
-    A current or a command is held between samples, a force or a logged channel is linear, and a motion is a
-    cubic spline.
+    A current or a command is held between samples and averaged from each instant to the next. A force or a logged channel is linear, and
+    a motion is a cubic spline.
     """
     t, x = signal.time, signal.values
     if len(t) >= len(at):
@@ -376,13 +376,11 @@ def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, 
         if len(own) == len(at) and np.abs(own - at).max() < 1e-3 * signal.step:
             return x[first : first + len(at)], ""
     if quantity == "current":
-        return x[
-            np.clip(
-                np.searchsorted(t, at + 1e-9 * signal.step, side="right") - 1,
-                0,
-                len(x) - 1,
-            )
-        ], "held"
+        ends = np.append(t, max(t[-1], at[-1]) + signal.step)
+        area = np.append(0.0, np.cumsum(x * np.diff(ends)))
+        edges = np.append(at, 2 * at[-1] - at[-2])
+        mean = np.diff(np.interp(edges, ends, area)) / np.diff(edges)
+        return mean, "held, averaged over each interval"
     if quantity in ("force", "condition"):
         return np.interp(at, t, x), "linear between its samples"
     return np.asarray(
