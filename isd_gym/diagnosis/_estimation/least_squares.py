@@ -31,7 +31,7 @@ class Slope:
 
     by: Array
     gram: Array
-    own: Array  # of the nuisances (initial state, offsets of the record, lags), prior included
+    own: Array  # of the nuisances (initial state, record offsets), prior included
     known: Array  # the prior of the initial state (states, states)
 
 
