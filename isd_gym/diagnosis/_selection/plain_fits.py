@@ -307,7 +307,7 @@ class Stage:
         return try_fit(fitter, structure, start.x, at.initial, at.offset, steps)
 
     def finish(self, begun: Sequence[Fit], kept: int) -> list[Fit]:
-        """Fit the laws to the end from their first fits, and the best ones with all samples."""
+        """Return fits to the end from first fits, with their costs on all samples, smallest cost first."""
         chosen: list[Fit] = []
         for fit in begun:
             is_small = len(fit.x) <= len(self.base.x) + 1
