@@ -41,6 +41,12 @@ def test_a_law_of_every_set_of_the_band_is_named():
         "adequate"
     ]
     assert decide(answer(row(0.3)), GOOD).gates == ()
+    # the law leaves less than half of the validation error and nearly all of the training error
+    fitted = [
+        replace(row(e), training=np.array([t])) for e, t in ((0.3, 0.3), (0.12, 0.29))
+    ]
+    half = answer(fitted[0], replace(fitted[1], members=(COULOMB,)))
+    assert not half.band and failed(half) == ["adequate"]
 
 
 @pytest.mark.parametrize(

@@ -44,19 +44,6 @@ class Answer:
         return self.band[0] if self.band else self.best
 
     @property
-    def falls(self) -> float:
-        """Decrease of the error beyond noise by the foremost set."""
-        return beyond_noise(self.refit, self.noise) - beyond_noise(
-            self.foremost, self.noise
-        )
-
-    @property
-    def leaves(self) -> float:
-        """Share of the refitted model's squared error beyond noise that the foremost set leaves."""
-        before = max(beyond_noise(self.refit, self.noise), 1e-12)
-        return (beyond_noise(self.foremost, self.noise) / before) ** 2
-
-    @property
     def certain(self) -> tuple[bool, ...]:
         """Whether each member of the foremost set has its kind and place in every set of the band; empty without a band."""
         members = self.foremost.members if self.band else ()
@@ -201,19 +188,15 @@ def _forces_first(rows: Sequence[Row], noise: Array, c: Criteria) -> list[Row]:
 
 
 def _needed(rows: Sequence[Row], refit: Row, table: Table) -> Row:
-    """Return the best set with as few laws as are needed: more laws must lower the error beyond chance, by more than the width and by a
-    material amount (in power), and each of them must remove a share of the rest."""
+    """Return the best set with as few laws as are needed: more laws must lower the error beyond chance and by a material amount (in power),
+    and each of them must remove a share of the rest."""
     c, chosen = table.c, refit
     for count in sorted({len(row.members) for row in rows}):
         best = min(
             (row for row in rows if len(row.members) == count),
             key=lambda row: row.error,
         )
-        falls = beyond_noise(chosen, table.noise) - beyond_noise(best, table.noise)
-        is_material = (
-            chosen.error** 2 - best.error** 2 > c.material** 2
-            and falls > table.width(best)
-        )
+        is_material = chosen.error**2 - best.error**2 > c.material**2
         allowed = c.one_more_leaves ** (count - len(chosen.members))
         if (
             is_material

@@ -6,6 +6,7 @@ import operator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from .._selection.answer import share_left
 from .._selection.criteria import CRITERIA, Criteria
 
 if TYPE_CHECKING:
@@ -78,19 +79,21 @@ def gates_of(answer: Answer, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     if not answer.foremost.members:
         return ()
     density = "standard errors by which the log predictive density exceeds the refitted model's, over blocks of validation and training records"
-    falls = "decrease of the error beyond noise over all channels, as a share of the deviation"
+    fall = max(answer.refit.error**2 - answer.foremost.error**2, 0.0) ** 0.5
+    falls = "root of the decrease of the squared error over all channels, as a share of the deviation"
     found = [
         gate("predicts better", answer.gain.errors, ">", c.elpd_errors, density),
-        gate("material", answer.falls, ">", answer.width, falls),
+        gate("material", fall, ">", c.material, falls),
     ]
     if answer.band:
         others = "laws of the simplest set without their kind and place in every set of the band"
         open_laws = sum(not certain for certain in answer.certain)
         found.append(gate("distinguishable", open_laws, "<=", 0, others))
     else:
-        leaves = "share of the refitted model's squared error beyond noise that the laws leave"
+        share = share_left(answer.foremost, answer.refit, answer.noise, c)
+        leaves = "share of the refitted model's squared error beyond noise that the laws leave, geometric mean of validation and training records"
         allowed = c.one_more_leaves ** len(answer.best.members)
-        found.append(gate("adequate", answer.leaves, "<", allowed, leaves))
+        found.append(gate("adequate", share, "<", allowed, leaves))
     return tuple(found)
 
 
