@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 #: how far the base parameters may move, in prior standard deviations
 REACH = 3.0
-#: one sigma, and the limits, of the logarithm of a new parameter about the size that the data suggest
-WIDE, FAR = 5.0, math.log(1e2)
+#: one sigma of the logarithm of a new parameter about the size that the data suggest, and how far the logarithm may rise and fall: stiff laws
+#: are slow to simulate, and a law may vanish
+WIDE, RISE, FALL = 5.0, math.log(1e2), math.log(1e4)
 #: standard deviation of the logarithm of a parameter that stays near its start value
 SURE = 1e-4
 
@@ -173,9 +174,9 @@ def base_structure(network: Network) -> Structure:
         if value > 0:
             s = math.log1p(sigma)
             m = math.log(value)
-            low = (
-                FAR if REACH * sigma >= 1.0 and may_vanish(network, path) else REACH * s
-            )
+            low = REACH * s
+            if REACH * sigma >= 1.0 and may_vanish(network, path):
+                low = FALL
             free.append(Free(path, True, m, s, m - low, m + REACH * s, -1))
         elif value != 0:
             s = sigma * abs(value)
@@ -238,23 +239,13 @@ def free_of(element: el.Element, owner: int) -> list[Free]:
         largest = (1.0 - 1e-9) * meta["maximum"]
         low, high = meta["plausible"] or (-largest, largest)
         if meta["minimum"] >= 0:
-            m, far = (
-                math.log(max(value, 1e-300)),
-                math.log(meta["reach"]) if meta["reach"] else FAR,
-            )
-            least = math.log(low) if low > 0 else -math.inf
-            out.append(
-                Free(
-                    path,
-                    True,
-                    m,
-                    WIDE,
-                    max(m - far, least),
-                    min(m + far, math.log(high)),
-                    owner,
-                    stride,
-                )
-            )
+            m = math.log(max(value, 1e-300))
+            fall, rise = FALL, RISE
+            if meta["reach"]:
+                fall = rise = math.log(meta["reach"])
+            least = max(m - fall, math.log(low) if low > 0 else -math.inf)
+            most = min(m + rise, math.log(high))
+            out.append(Free(path, True, m, WIDE, least, most, owner, stride))
         else:
             known = f.default if isinstance(f.default, int | float) else 0.0
             spread = meta["spread"] or 30.0 * max(abs(value), 1e-9)

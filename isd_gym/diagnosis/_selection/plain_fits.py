@@ -21,7 +21,7 @@ from ..._common.errors import InputError
 from ...physics.elements import beside
 from .._estimation.gauss_newton import Fit, Fitter
 from .._estimation.initial_states import transfer_states
-from .._estimation.structure import FAR, WIDE, add, parameter_values
+from .._estimation.structure import FALL, RISE, WIDE, add, parameter_values
 from .._hypotheses.law_matching import residual_of, starts_of
 from .._hypotheses.library import hypotheses
 from .._hypotheses.motion import motions, simulate_variants
@@ -67,7 +67,7 @@ def freed(structure: Structure, law: Hypothesis) -> Structure:
         if e.type in law.kind.contains and e.mechanism == law.kind.mechanism
     }
     free = tuple(
-        replace(f, sigma=WIDE, low=f.mean - FAR, high=f.mean + FAR)
+        replace(f, sigma=WIDE, low=f.mean - FALL, high=f.mean + RISE)
         if f.log and f.path.rpartition(".")[0] in names
         else f
         for f in structure.free
