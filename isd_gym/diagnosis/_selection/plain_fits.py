@@ -309,16 +309,12 @@ class Stage:
     def finish(self, begun: Sequence[Fit], kept: int) -> list[Fit]:
         """Return fits to the end from first fits, with their costs on all samples, smallest cost first."""
         chosen: list[Fit] = []
+        is_further = bool(self.base.structure.hypotheses)
         for fit in begun:
             is_small = len(fit.x) <= len(self.base.x) + 1
-            is_hopeless = fit.cost > self.rules.hopeless * begun[0].cost
             # few steps say little about a law with one parameter while the set still misses much
-            is_left = (
-                is_hopeless and bool(self.base.structure.hypotheses)
-                if is_small
-                else True
-            )
-            if not (len(chosen) >= kept and is_left):
+            is_hopeless = is_further and fit.cost > self.rules.hopeless * begun[0].cost
+            if len(chosen) < kept or (is_small and not is_hopeless):
                 chosen.append(fit)
         out = self.continued(self.coarse, chosen, self.rules.further_steps)
         out += self.special_cases(out)
