@@ -252,7 +252,7 @@ def test_a_degressive_damper_takes_the_place_of_the_linear_one():
     at = el.Setting(net, place, el.Motion(v, v, v), 1.0)
     for start in el.DegressiveDamping.starts(at):
         law = el.DegressiveDamping("x", place, **start.values)
-        # the force of the damper that it replaces
+        # force of the replaced damper
         assert el.rms(law.curve(v)) == pytest.approx(3.0 * el.rms(v))
         level = law.curve(np.array([el.rms(v)]))[0]
         for kind, name, factor in (("linear_damping", "damping", el.rms(v)), ("coulomb_friction", "level", 1.0)):  # fmt: skip

@@ -82,7 +82,7 @@ def made_diagnosis():
     model = base.with_element(CoulombFriction("seal", ("piston", "joint"), level=LEVEL))
     model = replace(
         model, uncertainty={"seal.level": 0.02}
-    )  # that of the fit, as a diagnosis states it
+    )  # standard deviation of the fit
     rng = np.random.default_rng(1)
     traces = []
     for name, held in (("one", False), ("two", True)):
@@ -247,7 +247,7 @@ def check_page(path):
 
 
 def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
-    """Found from residuals alone, without the law: its level, and its sign by the rate."""
+    """Residuals alone give the level of the friction, and the sign by the rate."""
     missing = report.View(diagnosis).missing
     assert missing.pair == ("piston", "joint")
     rate, force = missing.curve.rate, missing.curve.force

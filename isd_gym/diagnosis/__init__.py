@@ -9,7 +9,7 @@ Data go one way, from the first of these packages to the last:
 - `_selection`: which effects predict held-out records best;
 - `_verdict`: evidence, what it allows to say, and the words.
 
-`_workflow` runs all of it, and `_result_builder` makes the `result` of what it found.
+`_workflow` runs the packages, and `_result_builder` makes the `result`.
 `_planning` designs the test that would decide between candidates.
 """
 

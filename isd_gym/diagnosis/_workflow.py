@@ -234,7 +234,7 @@ def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
 
 
 def _check_copies(records: Sequence[Record]) -> None:
-    """Raise `InputError` for a record whose samples are those of another record: a copy confirms nothing."""
+    """Raise `InputError` for two records with equal samples: a copy confirms nothing."""
     known: dict[tuple[bytes, ...], str] = {}
     for r in records:
         samples = (r.measured.tobytes(), *(x.tobytes() for x in r.inputs.values()))

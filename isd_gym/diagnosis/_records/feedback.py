@@ -127,7 +127,7 @@ def _gain(
 
 
 def _stacked(parts: Sequence[Array]) -> Array:
-    """Return the regressors of all records, one after the other; records with fewer columns have zeros."""
+    """Return the regressors of all records in a sequence, with zeros for missing columns."""
     width = max(m.shape[1] for m in parts)
     return np.concatenate([np.pad(m, ((0, 0), (0, width - m.shape[1]))) for m in parts])
 

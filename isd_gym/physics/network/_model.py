@@ -481,7 +481,7 @@ class Network:
                 )
 
     def _check_turning(self) -> None:
-        """Check that each element connects either rotational or translational nodes."""
+        """Check that no element connects a rotational node with a translational node."""
         for body in self.bodies:
             for node in (body.name, *(p.name for p in body.points)):
                 if node in self.rotating:
