@@ -48,11 +48,15 @@ class Start:
     """A law with start values in a structure."""
 
     law: Hypothesis
+    #: what the element proposed
+    proposal: Proposal
+    #: start values of the law
+    values: Mapping[str, float]
+    #: known parameters beside it by path, transformed
+    known: Mapping[str, float]
     structure: Structure
     #: start values (parameters,), transformed
     x: Array
-    #: what the element proposed, where the law has the proposed size
-    proposed: Proposal | None = None
 
 
 def freed(structure: Structure, law: Hypothesis) -> Structure:
@@ -119,10 +123,11 @@ class Stage:
             else (rules.shortlist_further, rules.kept_further)
         )
         starts = self.starts()
-        misfit, sized = self.misfits(starts)
-        if sized:
-            starts = [*starts, *sized]
-            misfit = np.append(misfit, self.misfits(sized)[0])
+        misfit, rows = self.misfits(starts)
+        more = [*self.sized(starts, rows), *self.beside_nominal(starts)]
+        starts, misfit = self.with_more(starts, misfit, more)
+        more = self.varied(starts, misfit)
+        starts, misfit = self.with_more(starts, misfit, more)
         best: dict[Hypothesis, Start] = {}
         for k in np.argsort(misfit, kind="stable"):
             if math.isfinite(misfit[k]):
@@ -161,13 +166,8 @@ class Stage:
 
     # -- starts -------------------------------------------------------------------------------------------
     def starts(self) -> list[Start]:
-        """Return the starts of all admissible laws: several sizes, beside refitted and nominal parameters."""
+        """Return the starts of all admissible laws that the elements propose."""
         base, network = self.base, self.base.structure.network
-        refitted = base.values
-        nominal = {
-            f.path: refitted[f.path] if f.owner >= 0 else f.mean
-            for f in base.structure.free
-        }
         have = {
             (h.kind.mechanism, frozenset(h.where)) for h in base.structure.hypotheses
         }
@@ -179,81 +179,105 @@ class Stage:
             if (h.kind.mechanism, frozenset(h.where)) not in have
             and is_admissible(h, known)
         ]
-        is_further = bool(base.structure.hypotheses)
-        most = self.rules.starts_further if is_further else self.rules.starts
-        out: list[Start] = []
-        count: dict[Hypothesis, int] = defaultdict(int)
-        for law, start in starts_of(self.whole, base, motion, laws):
-            sizes = self.rules.sizes if start.grows else (1.0,)
-            tries = [(s, refitted) for s in (sizes[:2] if is_further else sizes)]
-            tries += [] if is_further else [(1.0, nominal)]
-            for k, (size, values) in enumerate(tries):
-                by = 1.0 / size if start.inverse else size
-                for way in start.ways:
-                    # a size that the element proposes is always tried: it tells the size that the residual asks for
-                    if k and count[law] >= most:
-                        continue
-                    found = self.start(
-                        law,
-                        way | {name: way[name] * by for name in start.grows},
-                        values,
-                    )
-                    if found is None:
-                        continue
-                    count[law] += 1
-                    out.append(found if k else replace(found, proposed=start))
-        return out
+        out = []
+        for law, proposal in starts_of(self.whole, base, motion, laws):
+            out += [
+                self.start(law, proposal, way, base.values) for way in proposal.ways
+            ]
+        return [start for start in out if start is not None]
 
     def start(
-        self, law: Hypothesis, values: Mapping[str, float], known: Mapping[str, float]
+        self,
+        law: Hypothesis,
+        proposal: Proposal,
+        values: Mapping[str, float],
+        known: Mapping[str, float],
     ) -> Start | None:
-        """Return a start with values of a law and known parameters by path, transformed; None where the law fits nowhere in the model."""
+        """Return a start with values of a law beside known parameters; None where the law fits nowhere in the model."""
         try:
             built = add(freed(self.base.structure, law), law, values)
             x = built.start_from(known)
         except FAILS:
             return None
-        return Start(law, built, x)
+        return Start(law, proposal, values, known, built, x)
 
-    def sized(
-        self,
-        left: Array,
-        own: Mapping[tuple[Hypothesis, int], Sequence[tuple[Start, Array]]],
-    ) -> list[Start]:
+    def with_more(
+        self, starts: list[Start], misfit: Array, more: Sequence[Start]
+    ) -> tuple[list[Start], Array]:
+        """Return starts and further starts, with their misfits."""
+        if not more:
+            return starts, misfit
+        return [*starts, *more], np.append(misfit, self.misfits(more)[0])
+
+    def sized(self, starts: Sequence[Start], rows: Mapping[int, Array]) -> list[Start]:
         """Return the starts with the size that the residual asks for to first order: the combination of the responses of what an element
-        proposed that leaves least of a residual `left` (rows,)."""
-        out, refitted = [], self.base.values
-        for (law, _), found in own.items():
-            proposal = found[0][0].proposed
-            assert proposal is not None
-            if len(found) < len(proposal.ways):
+        proposed that leaves least of the residual, the best ones of each law. `rows`: what the starts leave (rows,)."""
+        out, left = [], self.residual.left
+        ways: dict[int, list[int]] = defaultdict(list)
+        for k, start in enumerate(starts):
+            ways[id(start.proposal)].append(k)
+        found: dict[Hypothesis, list[tuple[float, Proposal, Array]]] = defaultdict(list)
+        for own in ways.values():
+            law, proposal = starts[own[0]].law, starts[own[0]].proposal
+            if len(own) < len(proposal.ways) or not rows.keys() >= set(own):
                 continue  # a way broke down
-            responses = np.stack([left - rows for _, rows in found], axis=1)
+            responses = np.stack([left - rows[k] for k in own], axis=1)
             amplitude = np.asarray(
                 np.linalg.lstsq(responses, left, rcond=None)[0], dtype=np.float64
             )
-            if not (proposal.signed or amplitude[0] > 0.0):
-                continue
-            start = self.start(law, law.kind.sized(proposal, amplitude), refitted)
-            out += [start] if start is not None else []
-        return out
+            if proposal.signed or amplitude[0] > 0.0:
+                cost = self.cost_of((left - responses @ amplitude)[:, None])[0]
+                found[law].append((float(cost), proposal, amplitude))
+        for law, tried in found.items():
+            tried.sort(key=lambda item: item[0])
+            for _, proposal, amplitude in tried[: self.rules.varied]:
+                values = law.kind.sized(proposal, amplitude)
+                out.append(self.start(law, proposal, values, self.base.values))
+        return [start for start in out if start is not None]
 
-    def misfits(self, starts: Sequence[Start]) -> tuple[Array, list[Start]]:
+    def beside_nominal(self, starts: Sequence[Start]) -> list[Start]:
+        """Return the starts of a first law beside the nominal parameters: refitted ones imitate what is missing."""
+        base = self.base
+        if base.structure.hypotheses:
+            return []
+        nominal = {f.path: f.mean for f in base.structure.free}
+        found = [
+            self.start(s.law, s.proposal, s.values, nominal)
+            for s in starts
+            if len(s.proposal.ways) == 1
+        ]
+        return [start for start in found if start is not None]
+
+    def varied(self, starts: Sequence[Start], misfit: Array) -> list[Start]:
+        """Return other sizes of the best starts of each law."""
+        out: list[Start | None] = []
+        count: dict[Hypothesis, int] = defaultdict(int)
+        for k in np.argsort(misfit, kind="stable"):
+            law, proposal = starts[k].law, starts[k].proposal
+            if count[law] == self.rules.varied or not math.isfinite(misfit[k]):
+                continue
+            count[law] += 1
+            values = starts[k].values
+            for size in self.rules.sizes if proposal.grows else ():
+                by = 1.0 / size if proposal.inverse else size
+                grown = {name: values[name] * by for name in proposal.grows}
+                known = starts[k].known
+                out.append(self.start(law, proposal, {**values, **grown}, known))
+        return [start for start in out if start is not None]
+
+    def misfits(self, starts: Sequence[Start]) -> tuple[Array, dict[int, Array]]:
         """Return the misfits of the starts (starts,), with the states of the set: the sum over channels of the logarithm of the residual's
         variance after first-order changes of what the set has free; infinite where the simulation breaks down. The second value are
-        starts with the sizes that the residual asks for."""
+        these residuals (rows,) by start, where it does not."""
         p, now = self.problem, self.now
         residual = self.residual
         misfit = np.full(len(starts), math.inf)
-        columns = len(p.channels)
-        probes: dict[tuple[Hypothesis, int], list[tuple[Start, Array]]] = defaultdict(
-            list
-        )
+        left_by: dict[int, Array] = {}
         networks = [start.structure.at(start.x) for start in starts]
         for chunk, seen in simulate_variants(p, now, networks):
             rows = np.zeros((len(residual.left), len(chunk)))
             for i, y in seen.items():
-                offset = np.repeat(now.offset[i][:, None], y.shape[2], axis=1)[:columns]
+                offset = np.repeat(now.offset[i][:, None], y.shape[2], axis=1)
                 with np.errstate(over="ignore", invalid="ignore"):
                     left = p.records[i].measured[:, :, None] - y - offset[None]
                     weighted = self.coarse.weights(left)
@@ -269,15 +293,18 @@ class Stage:
                         structure.mean - x
                     ) / structure.sigma
             left = residual.without(rows)
-            square = left[: len(rows) - own].reshape(-1, columns, len(chunk)) ** 2
-            cost = np.sum(np.log(square.mean(axis=0) + 1.0), axis=0)
-            misfit[chunk] = np.where(is_finite, cost, math.inf)
-            for lane, k in enumerate(chunk):
-                if starts[k].proposed is not None and is_finite[lane]:
-                    probes[starts[k].law, id(starts[k].proposed)].append(
-                        (starts[k], left[:, lane])
-                    )
-        return misfit, self.sized(residual.left, probes)
+            misfit[chunk] = np.where(is_finite, self.cost_of(left), math.inf)
+            left_by |= {
+                k: left[:, lane] for lane, k in enumerate(chunk) if is_finite[lane]
+            }
+        return misfit, left_by
+
+    def cost_of(self, left: Array) -> Array:
+        """Return the sum over channels of the logarithm of the variance of residuals (rows, lanes), those of the parameters' prior left
+        out."""
+        rows = len(left) - len(self.now.x)
+        square = left[:rows].reshape(-1, len(self.problem.channels), left.shape[1]) ** 2
+        return np.asarray(np.sum(np.log(square.mean(axis=0) + 1.0), axis=0))
 
     # -- fits ---------------------------------------------------------------------------------------------
     def first_fit(self, start: Start) -> Fit | None:

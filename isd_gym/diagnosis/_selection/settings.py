@@ -9,11 +9,9 @@ from dataclasses import dataclass
 class SearchSettings:
     """How far the search goes. The settings are an argument of `diagnose` and are returned with the result."""
 
-    #: sizes of a law at which its fit starts, as multiples of the size that the element proposes
-    sizes: tuple[float, ...] = (1.0, 0.25, 4.0, 20.0)
-    #: starts of a law that are simulated, as first law and as further law of a set
-    starts: int = 25
-    starts_further: int = 12
+    #: starts of a law with the smallest misfit whose other sizes are tried, and these sizes, as multiples
+    varied: int = 3
+    sizes: tuple[float, ...] = (0.25, 4.0, 20.0)
     #: laws that are fitted as first law and as further law of a set, those with the smallest misfit of a start first
     shortlist: int = 30
     shortlist_further: int = 12

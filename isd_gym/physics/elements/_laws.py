@@ -633,11 +633,11 @@ class CoggingForce(Element):
                 TURN / k for k in range(max(1, math.ceil(TURN / span)), int(most) + 1)
             ]
         else:
-            # neighbouring pitches differ by a quarter period over the span; less than one visible period is
+            # neighbouring pitches differ by half a period over the span; less than one visible period is
             # no repetition
             pitches = [
                 float(1 / cycles)
-                for cycles in np.arange(1 / span, PERIODS / span, 0.25 / span)
+                for cycles in np.arange(1 / span, PERIODS / span, 0.5 / span)
             ]
         out = []
         for pitch in pitches:
