@@ -80,9 +80,6 @@ class Fit:
     outputs: dict[int, Array]  # record -> (n, channels), offsets included
     cost: float  # sum of squares of weighted residuals over its records
     prior: float
-    hessian: Array | None = (
-        None  # of the structure's parameters, initial states and offsets eliminated
-    )
 
     @property
     def network(self) -> Network:
@@ -304,32 +301,24 @@ class Fitter:
         x = structure.start if x is None else x
         at = self.begin(structure, x, initial, offset, records)
         mean, sigma = structure.mean, structure.sigma
-        if not self.linearise(structure, at, records, True):
+        if iterations:
+            is_sound = self.linearise(structure, at, records, True)
+        else:
+            is_sound = math.isfinite(self.seen(structure, at, records).total)
+        if not is_sound:
             raise InputError("the simulation breaks down at the start values")
         at.prior = float(np.sum(((at.x - mean) / sigma) ** 2))
-        hessian, damping = self._hessian(at.slopes), DAMPING
+        damping = DAMPING
         for _ in range(iterations):
+            if not (at.slopes or self.linearise(structure, at, records, True)):
+                break
             then, damping = self._step(structure, at, records, damping)
             if then is None:
                 break
             gain, at = 1.0 - then.total / at.total, then
-            if not (at.slopes or self.linearise(structure, at, records, True)):
-                break
-            hessian = self._hessian(at.slopes)
             if gain < TOLERANCE:
                 break
-        return self._result(structure, at, hessian)
-
-    def _hessian(self, slopes: Mapping[int, Slope]) -> Array:
-        """Return the Hessian of half the cost by parameters and shared offsets, nuisances eliminated, without prior."""
-        total: Array | float = 0.0
-        for s in slopes.values():
-            p = len(s.gram) - len(s.own)
-            H = s.gram[:p, :p]
-            if len(s.own):
-                H = H - s.gram[:p, p:] @ np.linalg.solve(s.own, s.gram[p:, :p])
-            total = total + H
-        return np.asarray(total, dtype=np.float64)
+        return self._result(structure, at)
 
     def _step(
         self,
@@ -410,9 +399,7 @@ class Fitter:
             left = [i for i in left if gains[i] > TOLERANCE]
         return at
 
-    def _result(
-        self, structure: Structure, at: Point, hessian: Array | None = None
-    ) -> Fit:
+    def _result(self, structure: Structure, at: Point) -> Fit:
         known = sum(
             float(x0 @ self._information(structure, i) @ x0)
             for i, x0 in at.initial.items()
@@ -423,11 +410,6 @@ class Fitter:
             offsets = np.zeros(len(self.problem.channels))
             offsets[own] = next(iter(at.offset.values()))[own]
             structure = replace(structure, offsets=tuple(offsets.tolist()))
-        p = len(at.x)
-        if hessian is not None and len(own):
-            hessian = hessian[:p, :p] - hessian[:p, p:] @ np.linalg.solve(
-                hessian[p:, p:], hessian[p:, :p]
-            )
         return Fit(
             structure,
             at.x,
@@ -436,7 +418,6 @@ class Fitter:
             at.outputs,
             sum(at.costs.values()) - known,
             at.prior,
-            hessian if p else None,
         )
 
     def follow(
