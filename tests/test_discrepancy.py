@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from isd_gym import Network, Table, diagnose, simulate
-from isd_gym.diagnosis import Hypothesis, hypotheses
+from isd_gym.diagnosis import Hypothesis, SearchSettings, hypotheses
 from isd_gym.diagnosis._estimation import multiple_shooting as shooting
 from isd_gym.diagnosis._estimation import noise as weighting
 from isd_gym.diagnosis._estimation.gauss_newton import Fitter
@@ -22,8 +22,10 @@ from isd_gym.diagnosis._estimation.structure import add, base_structure
 from isd_gym.diagnosis._hypotheses.library import pairs
 from isd_gym.diagnosis._planning.excitation import Excitation, Rig, make_record
 from isd_gym.diagnosis._records.splitting import LEAD_IN, split_records
+from isd_gym.diagnosis._selection.criteria import CRITERIA
 from isd_gym.diagnosis._selection.held_out import HeldOutEvaluator
 from isd_gym.diagnosis._selection.held_out_table import row_of
+from isd_gym.diagnosis._selection.law_sets import Search
 from isd_gym.diagnosis._simulation.interpolation import splined_input
 from isd_gym.diagnosis._simulation.problem import Problem, Record, low_pass, thinned
 from isd_gym.diagnosis._workflow import held_from
@@ -209,6 +211,32 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     evaluator, structure = HeldOutEvaluator(problem), base_structure(net)
     fit = evaluator.plain_fitter.fit(structure, structure.start, iterations=0)
     assert row_of(evaluator, fit).error < 0.02  # 0.011 of it noise
+
+
+def test_a_superfluous_law_is_left_out_from_the_values_of_a_set():
+    # a stop that a fit alone did not find, beside a cubic spring that there is not
+    stop = element("stop", "bump_stop", "mass", "ground", clearance=0.01, stiffness=4e4)
+    model = builders.oscillator("x displacement mass")
+    time = np.arange(0.0, 6.0, 0.005)
+    push = builders.sines(time, [1.1, 2.3, 3.7], [0.0, 1.0, 2.0], 40.0)
+    record = builders.recorded(model.with_element(stop), 0.005, {"push": push})
+    problem = Problem(model, [record, record], ["fit", "choose"])
+    where, structure = ("mass", "ground"), base_structure(model)
+    laws = {
+        "bump_stop": {"clearance": 0.01, "stiffness": 4e4},
+        "cubic_stiffness": {"stiffness": 1.0},
+    }
+    for effect, values in laws.items():
+        structure = add(structure, Hypothesis(effect, where), values)
+    evaluator = HeldOutEvaluator(problem)
+    both = evaluator.plain_fitter.fit(structure, iterations=0)
+    search = Search(evaluator, SearchSettings(), CRITERIA, print)
+    fewer = {fit.label: fit for fit in search._with_fewer(both)}
+    assert set(fewer) == {f"{effect} at mass-ground" for effect in laws}
+    alone = fewer["bump_stop at mass-ground"]
+    assert alone.elements[0].clearance == approx(0.01, rel=0.01)
+    errors = [rms(record.measured - fit.outputs[0]) for fit in fewer.values()]
+    assert min(errors) < 0.02 * max(errors)
 
 
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side():

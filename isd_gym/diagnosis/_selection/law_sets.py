@@ -10,12 +10,12 @@ import numpy as np
 from .._estimation.gauss_newton import Fitter, gap, residuals
 from .._estimation.multiple_shooting import fit_segments, is_lightly_damped
 from .._estimation.noise import balanced_weights
-from .._estimation.structure import base_structure
+from .._estimation.structure import add, base_structure, parameter_values
 from .._simulation.problem import BROKEN
 from .._simulation.time_limit import SEARCH, TimeLimit, TimeUp
 from .answer import answer_of, simplest_law
 from .held_out_table import row_of
-from .plain_fits import FAILS, Stage, go_on
+from .plain_fits import FAILS, Stage, freed, go_on, try_fit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -106,11 +106,33 @@ class Search:
             sound = [row for row in new if row.is_sound]
             best = min(sound, key=lambda row: row.error, default=None)
             rows += new
+            if best is not None and depth:
+                rows += self.score(self._with_fewer(best.fit))
             if best is None or (best.error / before) ** 2 > c.on_its_way:
                 break
             if best.error**2 - noise < c.material**2:
                 break
             front = [row.fit for row in self._front(sound)]
+
+    def _with_fewer(self, fit: Fit) -> list[Fit]:
+        """Return fits with one law less, from the values of a fit: alone, a law may have ended in another optimum."""
+        laws = [*zip(fit.hypotheses, fit.elements, strict=True)]
+        fitter, steps = self._balanced(fit), self.settings.further_steps
+        out = []
+        for gone, _ in laws:
+            structure = base_structure(self.problem.network)
+            try:
+                for law, element in laws:
+                    if law is not gone:
+                        structure = add(
+                            freed(structure, law), law, parameter_values(element)
+                        )
+                x = structure.start_from(fit.values)
+            except FAILS:
+                continue
+            fewer = try_fit(fitter, structure, x, None, None, steps)
+            out += [fewer] if fewer is not None else []
+        return out
 
     def _front(self, rows: Sequence[Row]) -> list[Row]:
         """Return the best sets of distinct kinds on validation and training records, each with the simplest law of its kinds."""
