@@ -29,8 +29,8 @@ from isd_gym.diagnosis._estimation.least_squares import (
     bounded_step,
 )
 from isd_gym.diagnosis._estimation.noise import white_weights
-from isd_gym.diagnosis._estimation.structure import Free, base_structure
-from isd_gym.diagnosis._hypotheses.law_matching import built_ways, starts_of
+from isd_gym.diagnosis._estimation.structure import Free, add, base_structure
+from isd_gym.diagnosis._hypotheses.law_matching import starts_of
 from isd_gym.diagnosis._hypotheses.motion import motions, simulate_variants
 from isd_gym.diagnosis._simulation.problem import Problem, Record
 
@@ -188,7 +188,7 @@ def test_every_place_of_a_law_is_simulated_beside_the_others():
         if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")
     ]
     starts = starts_of(problem, fit, motions(problem, fit), tried)
-    built = [ways[0] for h, start in starts if (ways := built_ways(fit, h, start))]
+    built = [add(fit.structure, h, start.ways[0]) for h, start in starts]
     seen = {}
     for chunk, lanes in simulate_variants(problem, fit, [b.network for b in built]):
         seen |= zip(chunk, np.moveaxis(lanes[0], 2, 0), strict=True)

@@ -172,7 +172,7 @@ class _LagSearch:
         slope = -np.gradient(fit.outputs[0], record.interval, axis=0) * self.late
         by_lag = weights(slope)
         if iterations:
-            by_lag = fitter.refit(fit, {0: slope[:, :, None]})[1][0][:, :, 0]
+            by_lag = fitter.unabsorbed(fit, {0: slope[:, :, None]})[0][:, :, 0]
         residual = weights(record.measured - fit.outputs[0])
         information = max(float(np.sum(by_lag**2)), 1e-300)
         stride = STRIDE * record.pace

@@ -236,17 +236,6 @@ class Fitter:
         return Point(x, initial, offset)
 
     # -- fits -------------------------------------------------------------------------------------------
-    def transfer(self, fit: Fit) -> Fit:
-        """Return a fit, unchanged, on the samples of this problem: other samples of the same records."""
-        return self.fit(
-            fit.structure,
-            fit.x,
-            fit.initial,
-            fit.offset,
-            records=list(fit.initial),
-            iterations=0,
-        )
-
     def begin(
         self,
         structure: Structure,
@@ -497,20 +486,16 @@ class Fitter:
             parts[i] = a, c
         return H, g, parts
 
-    def refit(
-        self, fit: Fit, responses: Mapping[int, Array]
-    ) -> tuple[Array, dict[int, Array]]:
-        """Return to first order how a fit would absorb responses (samples, channels, m): the shift of the parameters (parameters, m), and
-        the weighted rest by record."""
+    def unabsorbed(self, fit: Fit, responses: Mapping[int, Array]) -> dict[int, Array]:
+        """Return by record the weighted part of responses (samples, channels, m) that a fit would not absorb to first order."""
         H, g, parts = self.normal_equations(
             fit.structure, fit.x, fit.initial, responses
         )
         shift = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
-        left: dict[int, Array] = {
+        return {
             i: (c - a @ shift).reshape(responses[i].shape)
             for i, (a, c) in parts.items()
         }
-        return shift[: len(fit.x)], left
 
 
 def residuals(problem: Problem, fit: Fit) -> list[Array]:

@@ -1,22 +1,18 @@
-"""Matches of every law to the residual of a fit: one linear problem, in the space of the outputs.
-
-The residual is a sum of responses: to changes of the parameters, to initial states and offsets, and to the force of the missing law. Laws
-over the motion of two nodes have their force along the measured motion; laws in series, drives and sensors are simulated as a small effect.
-"""
+"""The residual of a fit beside what the fit absorbs, start values of all laws, and what small effects do to the outputs."""
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..._common.errors import InputError
 from ...physics.elements import PROBE
-from ...physics.network import assemble
 from .._estimation.multiple_shooting import is_lightly_damped
 from .._estimation.sensitivities import tangents
-from .._estimation.structure import Hypothesis, Structure, add
-from .._simulation.problem import BROKEN, Problem
+from .._estimation.structure import Hypothesis, add
 from .forces import DISSIPATIVE, lossy_share, place_forces
 from .library import hypotheses
 from .motion import loads_of, motions, setting, simulate_variants, tell_gain
@@ -115,20 +111,6 @@ def starts_of(
     return out
 
 
-def built_ways(fit: Fit, h: Hypothesis, start: Start) -> list[Structure]:
-    """Return a start built into the fitted model in each of its ways; empty where the model has no place for it."""
-    try:
-        built = [
-            add(replace(fit.structure, network=fit.network), h, way)
-            for way in start.ways
-        ]
-        for b in built:
-            assemble(b.network.mechanical)
-    except BROKEN:
-        return []
-    return built
-
-
 def simulate_unmodelled_effects(
     problem: Problem, fit: Fit, share: float
 ) -> dict[int, Array]:
@@ -136,7 +118,7 @@ def simulate_unmodelled_effects(
     in a lightly damped structure), does to the outputs (samples, channels, laws) of the training records."""
     motion, forces = motions(problem, fit), place_forces(problem, fit)
     lossy = lossy_share(problem, fit) if is_lightly_damped(problem.network) else 1.0
-    networks, sizes = [], []
+    structure, networks, sizes = replace(fit.structure, network=fit.network), [], []
     for h in hypotheses(fit.network):
         simpler = (
             set(h.kind.contains) & {e.type for e in fit.network.elements}
@@ -154,8 +136,9 @@ def simulate_unmodelled_effects(
             )
         )
         for start in tried[:: max(1, len(tried) // 2)][:2]:
-            for built in built_ways(fit, h, replace(start, ways=start.ways[:1])):
-                networks.append(built.network)
+            # the model may have no place for it; `simulate_variants` leaves out what cannot be assembled
+            with contextlib.suppress(InputError):
+                networks.append(add(structure, h, start.ways[0]).network)
                 sizes.append(lossy if h.kind.mechanism in DISSIPATIVE else 1.0)
     out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
     ((_, point),) = simulate_variants(problem, fit, [fit.network])

@@ -112,7 +112,7 @@ def separate(
         fit = fitter.fit(rival.structure, rival.x, {0: rest}, iterations=0)
         others = np.arange(len(rivals)) != k
         changes = outputs[:, :, others] - outputs[:, :, [k]]
-        _, left = fitter.refit(fit, {0: changes})
+        left = fitter.unabsorbed(fit, {0: changes})
         power[k, others] = np.sum(left[0] ** 2, axis=0).T
     distance = np.sqrt(power.sum(axis=2))
     own, truth = divmod(int(np.argmin(distance)), len(rivals))

@@ -107,11 +107,10 @@ class Stage:
         self.base = base
         self.coarse, self.now = full, base
         if self.whole.rough is not self.whole:
-            # with large steps a law may break down
-            with contextlib.suppress(*BROKEN):
-                coarse = Fitter(self.whole.rough, full.weights)
-                self.now = coarse.transfer(base)
-                self.coarse = coarse
+            coarse = Fitter(self.whole.rough, full.weights)
+            now = go_on(coarse, base, 0)
+            if now is not None:  # with large steps a law may break down
+                self.coarse, self.now = coarse, now
         self.problem = self.coarse.problem
 
     def run(self) -> list[Fit]:
