@@ -180,6 +180,11 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
     Network.load(case.model).save(place / "model.json")
     files = Case(tables("estimation"), place / "model.json", tables("validation"))
     truth = {key: case.truth[key] for key in ("hidden", "nuisances")}
+    named = {e["name"] for e in case.model["elements"]}
+    model = case.truth["model"]
+    # small effects have laws that the library does not have
+    stated = [e for e in model["elements"] if e.get("name") in named]
+    truth["parameters"] = Network.load({**model, "elements": stated}).parameters
     return files, case.answer, truth
 
 

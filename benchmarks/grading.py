@@ -289,6 +289,25 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
+def intervals(rows: Sequence[Row]) -> dict[str, list[bool]]:
+    """Return whether 95 % intervals of right answers hold the true values: of the model's parameters, and of the named effects'."""
+    out: dict[str, list[bool]] = {"model": [], "effects": []}
+    for row in rows:
+        truth = row.get("truth") or {}
+        if graded(row) != "right" or not {"parameters", "hidden"} <= truth.keys():
+            continue
+        true, d = truth["parameters"], row["diagnosis"]
+        hidden = {e["type"]: e for e in truth["hidden"]}
+        found = [("model", true.get(path), q) for path, q in d["parameters"].items()]
+        for e in d["effects"]:
+            own = hidden.get(e["effect"], {})
+            found += [("effects", own.get(k), q) for k, q in e["parameters"].items()]
+        for whose, value, q in found:
+            if None not in (value, q["low"], q["high"]):
+                out[whose].append(q["low"] <= value <= q["high"])
+    return out
+
+
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
     """Return the figures of a run: shares by grade, stated against observed probability, processor time."""
     of_sort = {s: [r for r in rows if sort(r) == s] for s in SORTS}
@@ -309,6 +328,10 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "broke_off": sum("error" in r for r in rows),
         "out_of_time": sum(bool(r.get("timed_out")) for r in rows),
         "reliability": {level: reliability(rows, level) for level in LEVELS},
+        "intervals": {
+            whose: {"count": len(held), "hold": _mean(held)}
+            for whose, held in intervals(rows).items()
+        },
         "seconds_median": _median(seconds),
         "seconds_longest": max(seconds, default=None),
     }
@@ -326,6 +349,11 @@ def report(rows: Sequence[Row]) -> str:
         lines.append(
             f"processor time: median {f['seconds_median']:.1f} s, longest {f['seconds_longest']:.1f} s"
         )
+    for whose, own in f["intervals"].items():
+        if own["count"]:
+            lines.append(
+                f"95 % intervals of the {whose}: {own['hold']:.0%} of {own['count']} hold the true value"
+            )
     for level in (None, *LEVELS):
         lines += [
             "",
