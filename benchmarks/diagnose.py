@@ -166,6 +166,7 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
     from rigs import families, hidden
 
     from isd_gym import Network, Table
+    from isd_gym.physics.elements import TYPES
     from isd_gym.records.data import write_table
 
     case = (hidden if job.suite == "home" else families).make_case(job.kind, job.seed)
@@ -180,10 +181,9 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
     Network.load(case.model).save(place / "model.json")
     files = Case(tables("estimation"), place / "model.json", tables("validation"))
     truth = {key: case.truth[key] for key in ("hidden", "nuisances")}
-    named = {e["name"] for e in case.model["elements"]}
     model = case.truth["model"]
     # small effects have laws that the library does not have
-    stated = [e for e in model["elements"] if e.get("name") in named]
+    stated = [e for e in model["elements"] if e["type"] in TYPES]
     truth["parameters"] = Network.load({**model, "elements": stated}).parameters
     return files, case.answer, truth
 

@@ -159,7 +159,7 @@ class Search:
 
     def _polished(self, fit: Fit) -> Fit:
         """Return a fit with the channels balanced by its own residual."""
-        return go_on(self._balanced(fit), fit, self.settings.last_steps) or fit
+        return go_on(self._balanced(fit), fit, self.settings.further_steps) or fit
 
     def _balanced(self, fit: Fit) -> Fitter:
         """Return the fitter with the channels balanced by the residual of a fit."""

@@ -15,10 +15,9 @@ class SearchSettings:
     #: laws that are fitted as first law and as further law of a set, those with the smallest misfit of a start first
     shortlist: int = 30
     shortlist_further: int = 12
-    #: Gauss-Newton steps of the first fit of a law, of the fit to the end, and of the fit with all samples and balanced channels
+    #: Gauss-Newton steps of the first fit of a law, and of fits to the end
     first_steps: int = 3
     further_steps: int = 20
-    last_steps: int = 8
     #: cost over that of the best law, above which a law is not fitted to the end
     hopeless: float = 3.0
     #: laws with several parameters that are fitted to the end, as first law and as further law of a set
