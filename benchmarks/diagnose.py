@@ -7,7 +7,7 @@ python benchmarks/diagnose.py --suite [WHAT ...] --seeds 1 2   rigs of the hidde
 python benchmarks/diagnose.py --again DIR ...              the figures of finished runs; nothing is run
 
 WHAT: home (cars, device rigs), families, a family ("shaken", "half_car"), a kind ("shaken.friction_ground"); home and families without.
-unseen: families that are kept aside, nothing is developed on them; only where asked for. A folder without a truth is one
+unseen: families without any development on them; only on request. A folder without a truth is one
 of measured rigs: benchmarks/real.json says what may be named there.
 
 --out DIR      one file per case (`isd_gym.benchmark.sweep.items`); the same line again goes on with what is not there yet
@@ -224,7 +224,7 @@ def run(limit: float, **case: Any) -> Row:
 
 
 def command(files: Case, out: Path) -> Any:
-    """Run `isd-gym diagnose` and return its diagnosis.json. Raises where the command, or its report, fails."""
+    """Run `isd-gym diagnose` and return its diagnosis.json. Raises for a failed command or report."""
     from isd_gym._commands import app
 
     held = ["--validate", *files.held] if files.held else []

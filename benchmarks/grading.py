@@ -34,7 +34,7 @@ def pair(place: Any) -> frozenset[str] | None:
 
 
 def named(row: Row) -> list[tuple[str, frozenset[str]]]:
-    """The effects that the diagnosis gave names to, each with its place."""
+    """Return the named effects with their places."""
     effects = row.get("diagnosis", {}).get("effects", [])
     return [
         (e["effect"], pair(e.get("channel") or e.get("between") or []) or frozenset())

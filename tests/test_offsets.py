@@ -81,7 +81,7 @@ def covariance(problem, fit):
 
 
 def test_mean_forces_show_a_stiffness_through_one_offset_only():
-    """Three mean forces deflect a spring by 6 N / k each: a free offset in each record hides these deflections."""
+    """Three mean forces deflect a spring by 6 N / k each: one offset per record hides the deflections."""
     spread = {}
     for offset in ("free", "record"):
         problem = problem_of(stand(offset), OFFSET, OFFSET, OFFSET, size=0.2)

@@ -114,7 +114,7 @@ class Stage:
         self.problem = self.coarse.problem
 
     def run(self) -> list[Fit]:
-        """Return the fits with one more law, smallest cost first: all laws with at most one parameter more, and the best others."""
+        """Return the fits with one more law, smallest cost first: all laws with one more parameter or none, and the best laws with several."""
         rules, is_first = self.rules, not self.base.structure.hypotheses
         shortlist, kept = (
             (rules.shortlist, rules.kept)
